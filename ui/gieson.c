@@ -31,6 +31,7 @@ static const struct {
     { "report", gsn_cmd_report },     { "study", gsn_cmd_study },
     { "plan", gsn_cmd_plan },         { "index", gsn_cmd_index },
     { "export", gsn_cmd_model },      { "probe", gsn_cmd_model },
+    { "render", gsn_cmd_model },
     { "line", gsn_cmd_model },        { "integral", gsn_cmd_model },
     { "verify", gsn_cmd_verify },     { "scrub", gsn_cmd_scrub },
     { "backup", gsn_cmd_backup },     { "restore", gsn_cmd_restore },
@@ -63,6 +64,8 @@ static const char doc[] =
     "  export SPECIMEN FILE\n"
     "                      its model for other programs: .vtkhdf .vtu .csv .stl\n"
     "                      .ply .glb .nrrd .nii.gz .ome.tif\n"
+    "  render SPECIMEN FILE.png\n"
+    "                      a picture of its model: X-ray, translucent, surface\n"
     "  probe SPECIMEN X Y Z\n"
     "                      the model at a point, and the pixels it rests on\n"
     "  line SPECIMEN X1 Y1 Z1 X2 Y2 Z2\n"

@@ -99,6 +99,27 @@ static size_t find_cell(double at, double origin, double step, size_t n)
     return c >= 0 && c < (double)n ? (size_t)c : n;
 }
 
+void gsn_mask_box(const struct gsn_mask *mask, double ret_low[3], double ret_high[3])
+{
+    const struct gsn_lattice *at = &mask->at;
+    const double step[3] = { at->step_um.x, at->step_um.y, at->step_um.z };
+
+    for (int c = 0; c < 3; c++) {
+        ret_low[c] = INFINITY;
+        ret_high[c] = -INFINITY;
+    }
+    for (size_t i = 0; i < gsn_lattice_count(at); i++) {
+        const struct gsn_vec3 u =
+            gsn_lattice_centre(at, i % at->nx, i / at->nx % at->ny, i / at->nx / at->ny);
+        const double middle[3] = { u.x, u.y, u.z };
+
+        for (int c = 0; mask->inside[i] && c < 3; c++) {
+            ret_low[c] = fmin(ret_low[c], middle[c] - step[c] / 2);
+            ret_high[c] = fmax(ret_high[c], middle[c] + step[c] / 2);
+        }
+    }
+}
+
 int gsn_mask_has(const struct gsn_mask *mask, struct gsn_vec3 p)
 {
     const struct gsn_lattice *at = &mask->at;

@@ -46,6 +46,8 @@ int gsn_mask_new(const struct gsn_lattice *at, struct gsn_mask **ret_mask, struc
 void gsn_mask_free(struct gsn_mask *mask);
 GSN_DEFINE_AUTO(gsn_mask);
 size_t gsn_mask_count(const struct gsn_mask *mask);
+/* The box around its voxels, outer faces, um; low > high when there are none. */
+void gsn_mask_box(const struct gsn_mask *mask, double ret_low[3], double ret_high[3]);
 /* Whether the voxel whose cell holds this point is inside; false beyond the lattice. */
 int gsn_mask_has(const struct gsn_mask *mask, struct gsn_vec3 point_um);
 

@@ -985,23 +985,19 @@ static int cast_tiles(struct casting *casting, unsigned threads,
     return GSN_OK;
 }
 
-/* All but the average over the rays of a pixel; the camera given back is that of the pixels. */
-static int cast_rays(struct casting *casting, const struct gsn_view *view, unsigned threads,
-                     const struct gsn_progress *progress, struct gsn_camera *ret_camera,
-                     struct gsn_error *err)
+/* All but the average over the rays of a pixel. */
+static int cast_rays(struct casting *casting, const struct gsn_camera *camera, unsigned threads,
+                     const struct gsn_progress *progress, struct gsn_error *err)
 {
-    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(casting->spline));
     const unsigned across = casting->style->across;
     size_t rays;
     int r = check_style(casting->mode, casting->style, err);
 
     if (r >= 0 && casting->clip)
         r = check_clip(casting->clip, err);
-    if (r >= 0)
-        r = gsn_camera_frame(view, mesh, ret_camera, err);
     if (r < 0)
         return r;
-    casting->camera = *ret_camera;
+    casting->camera = *camera;
     casting->camera.width *= across;
     casting->camera.height *= across;
     casting->camera.px_per_um *= across;
@@ -1011,7 +1007,7 @@ static int cast_rays(struct casting *casting, const struct gsn_view *view, unsig
     casting->with_slope = casting->mode == MODE_VOLUME && casting->style->shading > 0;
     if (casting->with_slope)
         casting->blur = 4 * (casting->style->high - casting->style->low) *
-                        ret_camera->px_per_um / fmax(view->width, view->height);
+                        camera->px_per_um / fmax(camera->width, camera->height);
     make_colours(casting);
     rays = (size_t)casting->camera.width * casting->camera.height;
     if (casting->mode == MODE_XRAY)
@@ -1026,24 +1022,22 @@ static int cast_rays(struct casting *casting, const struct gsn_view *view, unsig
     return r;
 }
 
-int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_view *view,
+int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_camera *camera,
                  const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                  unsigned threads, const struct gsn_progress *progress,
-                 struct gsn_plane **ret_plane, struct gsn_camera *ret_camera,
-                 struct gsn_error *err)
+                 struct gsn_plane **ret_plane, struct gsn_error *err)
 {
     auto_casting casting = { MODE_XRAY, spline, clip, style, .with_slope = 0 };
     const unsigned across = style->across;
     gsn_auto(gsn_plane) plane = NULL;
-    struct gsn_camera camera;
-    int r = cast_rays(&casting, view, threads, progress, &camera, err);
+    int r = cast_rays(&casting, camera, threads, progress, err);
 
     if (r >= 0)
-        r = gsn_plane_new(view->width, view->height, &plane, err);
+        r = gsn_plane_new(camera->width, camera->height, &plane, err);
     if (r < 0)
         return r;
-    for (size_t y = 0; y < view->height; y++) {
-        for (size_t x = 0; x < view->width; x++) {
+    for (size_t y = 0; y < camera->height; y++) {
+        for (size_t x = 0; x < camera->width; x++) {
             double sum = 0;
             int met = 0;
 
@@ -1055,68 +1049,65 @@ int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_view *view,
                 met |= !isnan(value);
                 sum += isnan(value) ? 0 : value;
             }
-            plane->value[y * view->width + x] = met ? (float)(sum / (across * across)) : NAN;
+            plane->value[y * camera->width + x] = met ? (float)(sum / (across * across)) : NAN;
         }
     }
-    *ret_camera = camera;
     *ret_plane = gsn_steal(&plane);
     return GSN_OK;
 }
 
-static int make_picture(struct casting *casting, const struct gsn_view *view, unsigned threads,
+static int make_picture(struct casting *casting, const struct gsn_camera *camera, unsigned threads,
                         const struct gsn_progress *progress, struct gsn_ray_picture **ret_picture,
-                        struct gsn_camera *ret_camera, struct gsn_error *err)
+                        struct gsn_error *err)
 {
     const unsigned across = casting->style->across;
     gsn_auto(gsn_ray_picture) picture = NULL;
-    struct gsn_camera camera;
-    const int r = cast_rays(casting, view, threads, progress, &camera, err);
+    const int r = cast_rays(casting, camera, threads, progress, err);
 
     if (r < 0)
         return r;
     picture = gsn_alloc_array(1, sizeof *picture);
     if (picture)
         picture->rgba =
-            gsn_alloc_array((size_t)view->width * view->height, sizeof *picture->rgba);
+            gsn_alloc_array((size_t)camera->width * camera->height, sizeof *picture->rgba);
     if (!picture || !picture->rgba)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %u x %u pixels",
-                        view->width, view->height);
-    picture->width = view->width;
-    picture->height = view->height;
-    for (size_t y = 0; y < view->height * (size_t)across; y++) {
-        for (size_t x = 0; x < view->width * (size_t)across; x++) {
-            float *to = picture->rgba[y / across * view->width + x / across];
+                        camera->width, camera->height);
+    picture->width = camera->width;
+    picture->height = camera->height;
+    for (size_t y = 0; y < camera->height * (size_t)across; y++) {
+        for (size_t x = 0; x < camera->width * (size_t)across; x++) {
+            float *to = picture->rgba[y / across * camera->width + x / across];
 
             for (int c = 0; c < 4; c++)
                 to[c] += casting->rgba[y * casting->camera.width + x][c] /
                          (float)(across * across);
         }
     }
-    *ret_camera = camera;
     *ret_picture = gsn_steal(&picture);
     return GSN_OK;
 }
 
-int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_view *view,
+int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *camera,
                    const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                    unsigned threads, const struct gsn_progress *progress,
-                   struct gsn_ray_picture **ret_picture, struct gsn_camera *ret_camera,
+                   struct gsn_ray_picture **ret_picture,
                    struct gsn_error *err)
 {
     auto_casting casting = { MODE_VOLUME, spline, clip, style, .with_slope = 0 };
 
-    return make_picture(&casting, view, threads, progress, ret_picture, ret_camera, err);
+    return make_picture(&casting, camera, threads, progress, ret_picture, err);
 }
 
-int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_view *view,
+int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *camera,
                     const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                     unsigned threads, const struct gsn_progress *progress,
-                    struct gsn_ray_picture **ret_picture, struct gsn_camera *ret_camera,
+                    struct gsn_ray_picture **ret_picture,
                     struct gsn_error *err)
 {
     auto_casting casting = { MODE_SURFACE, spline, clip, style, .with_slope = 0 };
 
-    return make_picture(&casting, view, threads, progress, ret_picture, ret_camera, err);
+    return make_picture(&casting, camera, threads, progress, ret_picture, err);
 }
 
 /* --- the sheet --- */

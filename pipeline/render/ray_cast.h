@@ -49,35 +49,34 @@ struct gsn_ray_picture {
 void gsn_ray_picture_free(struct gsn_ray_picture *picture);
 GSN_DEFINE_AUTO(gsn_ray_picture);
 
-/* All give a picture and say by which camera. clip may be NULL; threads 0: all, the same bytes on
- * any number; progress may be NULL. Fail with GSN_E_INPUT on an unusable view or style, a plane
+/* All give a picture, of camera's size. clip may be NULL; threads 0: all, the same bytes on any
+ * number; progress may be NULL. Fail with GSN_E_INPUT on an unusable style, too many rays, a plane
  * without a normal or an empty box, GSN_E_LIMIT on more tetrahedra than can be numbered,
  * GSN_E_NOMEM. */
 
 /* Integrals of the density along the rays, density times um; NaN where a ray meets nothing. Uses of
  * style across alone. */
-int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_view *view,
+int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_camera *camera,
                  const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                  unsigned threads, const struct gsn_progress *progress,
-                 struct gsn_plane **ret_plane, struct gsn_camera *ret_camera,
-                 struct gsn_error *err);
+                 struct gsn_plane **ret_plane, struct gsn_error *err);
 
 /* Light that is emitted in proportion to the extinction in the colour of the density, and absorbed
  * on its way to the eye. Each colour of a ray is good to GSN_RAY_TOLERANCE. */
-int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_view *view,
+int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *camera,
                    const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                    unsigned threads, const struct gsn_progress *progress,
-                   struct gsn_ray_picture **ret_picture, struct gsn_camera *ret_camera,
+                   struct gsn_ray_picture **ret_picture,
                    struct gsn_error *err);
 #define GSN_RAY_TOLERANCE 2e-5
 
 /* The nearest place where s rises to the level, lit by its exact gradient. Where the ray comes in
  * at more than the level already, on a clip or the border of a region, the density there is shown
  * in the colours of the window. */
-int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_view *view,
+int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *camera,
                     const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                     unsigned threads, const struct gsn_progress *progress,
-                    struct gsn_ray_picture **ret_picture, struct gsn_camera *ret_camera,
+                    struct gsn_ray_picture **ret_picture,
                     struct gsn_error *err);
 
 /* gives: the sheet: the picture on white, title, note, axes of the block, scale bar, and the

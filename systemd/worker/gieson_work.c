@@ -15,6 +15,7 @@
  *     gieson-work --store DIR study [NAME]  makes the page of a study, or of all
  *     gieson-work plan                      how many animals a difference needs
  *     gieson-work --store DIR export SPECIMEN FILE        the model for other programs
+ *     gieson-work --store DIR render SPECIMEN FILE.png    a picture of the model
  *     gieson-work --store DIR probe SPECIMEN X Y Z        the model at a point,
  *     gieson-work --store DIR line SPECIMEN X1 ... Z2     along a segment,
  *     gieson-work --store DIR index         the front page of the store
@@ -144,6 +145,12 @@ enum {
     OPT_WHOLE,
     OPT_BOX,
     OPT_PLANE,
+    OPT_TRANSLUCENT,
+    OPT_SURFACE,
+    OPT_VIEW,
+    OPT_SIZE,
+    OPT_WINDOW,
+    OPT_PERSPECTIVE,
     OPT_POINTS,
     OPT_PUBLISH
 };
@@ -185,9 +192,17 @@ static const struct argp_option options[] = {
     { "power", OPT_POWER, "P", 0, "plan: how surely it is to be found (default 0.8)", 1 },
     { "level", OPT_LEVEL, "V", 0, "export: of a surface; integral: may be given up to 8 times", 1 },
     { "step", OPT_STEP, "UM", 0, "export: size of a volume's voxels, of a surface's edges", 1 },
-    { "whole", OPT_WHOLE, NULL, 0, "export, integral: the whole domain, not the region", 1 },
-    { "box", OPT_BOX, "X1,Y1,Z1,X2,Y2,Z2", 0, "integral: over the region in a box", 1 },
-    { "plane", OPT_PLANE, "X,Y,Z,NX,NY,NZ", 0, "integral: over the region on a plane", 1 },
+    { "whole", OPT_WHOLE, NULL, 0, "export, render, integral: the whole domain, not the region", 1 },
+    { "box", OPT_BOX, "X1,Y1,Z1,X2,Y2,Z2", 0,
+      "integral: over the region in a box; render: what of it is shown", 1 },
+    { "plane", OPT_PLANE, "X,Y,Z,NX,NY,NZ", 0,
+      "integral: over the region on a plane; render: the normal's side is cut away", 1 },
+    { "translucent", OPT_TRANSLUCENT, NULL, 0, "render: emission and absorption", 1 },
+    { "surface", OPT_SURFACE, "V", 0, "render: where the density is V", 1 },
+    { "view", OPT_VIEW, "X,Y,Z", 0, "render: x, y, z, corner, or a direction into the block", 1 },
+    { "size", OPT_SIZE, "PX", 0, "render: width and height (default 640)", 1 },
+    { "window", OPT_WINDOW, "LOW,HIGH", 0, "render: densities of the colour scale", 1 },
+    { "perspective", OPT_PERSPECTIVE, NULL, 0, "render: seen by an eye", 1 },
     { "points", OPT_POINTS, "N", 0, "line: of the profile (default: 33)", 1 },
     { 0 },
 };
@@ -313,6 +328,24 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case OPT_PLANE:
         request->plane = arg;
         return 0;
+    case OPT_TRANSLUCENT:
+        request->translucent = 1;
+        return 0;
+    case OPT_SURFACE:
+        request->surface = arg;
+        return 0;
+    case OPT_VIEW:
+        request->view = arg;
+        return 0;
+    case OPT_SIZE:
+        request->size = arg;
+        return 0;
+    case OPT_WINDOW:
+        request->window = arg;
+        return 0;
+    case OPT_PERSPECTIVE:
+        request->perspective = 1;
+        return 0;
     case OPT_POINTS:
         request->points = arg;
         return 0;
@@ -328,7 +361,7 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
     case ARGP_KEY_END:
         if (!request->verb)
             argp_error(state, "say what to do: import, work, changed, verify, scrub, backup, "
-                              "restore, check, register, study, plan, export, probe, line, "
+                              "restore, check, register, study, plan, export, render, probe, line, "
                               "integral or index");
         return 0;
     default:
@@ -349,7 +382,8 @@ int main(int argc, char **argv)
                   { "register", 0, gsn_work_register }, { "study", 1, gsn_work_study },
                   { "plan", 0, gsn_work_plan },         { "export", 1, gsn_work_export },
                   { "probe", 1, gsn_work_probe },       { "line", 1, gsn_work_line },
-                  { "integral", 1, gsn_work_integral }, { "index", 1, gsn_work_index } };
+                  { "integral", 1, gsn_work_integral }, { "index", 1, gsn_work_index },
+                  { "render", 1, gsn_work_render } };
     static const struct argp parser = { .options = options,
                                         .parser = take_option,
                                         .args_doc = "VERB [ARGUMENT...]",
@@ -368,7 +402,7 @@ int main(int argc, char **argv)
     if (i == sizeof verbs / sizeof verbs[0])
         status = gsn_work_usage(&request,
                                 "this verb is not known: import, work, changed, verify, scrub, "
-                                "backup, restore, check, register, study, plan, export, probe, "
+                                "backup, restore, check, register, study, plan, export, render, probe, "
                                 "line, integral or index");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = gsn_work_usage(&request, "no store: say --store DIR or set GIESON_STORE");

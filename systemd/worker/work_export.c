@@ -137,28 +137,19 @@ static void find_extent(const struct export *e, const struct gsn_mask *region, d
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(e->model->space);
 
+    if (region) {
+        gsn_mask_box(region, low, high);
+        return;
+    }
     for (int c = 0; c < 3; c++) {
         low[c] = INFINITY;
         high[c] = -INFINITY;
     }
-    if (!region)
-        for (size_t v = 0; v < mesh->vertex_count; v++)
-            for (int c = 0; c < 3; c++) {
-                low[c] = fmin(low[c], mesh->vertex[v][c]);
-                high[c] = fmax(high[c], mesh->vertex[v][c]);
-            }
-    for (size_t i = 0; region && i < gsn_lattice_count(&region->at); i++) {
-        const struct gsn_lattice *at = &region->at;
-        const struct gsn_vec3 u =
-            gsn_lattice_centre(at, i % at->nx, i / at->nx % at->ny, i / at->nx / at->ny);
-        const double middle[3] = { u.x, u.y, u.z };
-        const double step[3] = { at->step_um.x, at->step_um.y, at->step_um.z };
-
-        for (int c = 0; region->inside[i] && c < 3; c++) {
-            low[c] = fmin(low[c], middle[c] - step[c] / 2);
-            high[c] = fmax(high[c], middle[c] + step[c] / 2);
+    for (size_t v = 0; v < mesh->vertex_count; v++)
+        for (int c = 0; c < 3; c++) {
+            low[c] = fmin(low[c], mesh->vertex[v][c]);
+            high[c] = fmax(high[c], mesh->vertex[v][c]);
         }
-    }
 }
 
 /* Without a step it is the region's own lattice. */

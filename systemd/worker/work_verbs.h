@@ -14,10 +14,12 @@
 struct gsn_work_request {
     const char *store_dir, *verb;
     char **rest;
-    int rest_count, json, csv, quiet, replace, served, by_tissue, quick, whole;
+    int rest_count, json, csv, quiet, replace, served, by_tissue, quick, whole, translucent,
+        perspective;
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *spacing_unit, *marks, *px_um, *radius,
-        *journal, *because, *difference, *sd, *power, *step, *box, *plane, *points, *publish;
+        *journal, *because, *difference, *sd, *power, *step, *box, *plane, *points, *publish,
+        *surface, *view, *size, *window;
     json_t *thresholds, *levels;
 };
 
@@ -35,6 +37,7 @@ int gsn_work_register(const struct gsn_work_request *request);
 int gsn_work_study(const struct gsn_work_request *request);
 int gsn_work_plan(const struct gsn_work_request *request);
 int gsn_work_export(const struct gsn_work_request *request);
+int gsn_work_render(const struct gsn_work_request *request);
 int gsn_work_probe(const struct gsn_work_request *request);
 int gsn_work_line(const struct gsn_work_request *request);
 int gsn_work_integral(const struct gsn_work_request *request);

@@ -40,7 +40,7 @@ completes() {
 }
 
 completes "gieson sta" "status"
-completes "gieson --store x re" "report|retry|restore|register"
+completes "gieson --store x re" "report|render|retry|restore|register"
 completes "gieson show R07-" "R07-left"
 completes "gieson report " "R07\\ right|R07-left"
 completes "gieson --store nowhere show " ""
@@ -58,6 +58,7 @@ completes "gieson file 12 --panel 3 R07-" "R07-left"
 completes "gieson export R07-" "R07-left"
 completes "gieson export R07-left pan" "panel.tif"
 completes "gieson export R07-left x.stl --lev" "--level"
+completes "gieson render R07-left x.png --tr" "--translucent"
 completes "gieson probe R07-" "R07-left"
 completes "gieson integral R07-left --pl" "--plane"
 completes "gieson capture s" "scanner"

@@ -224,6 +224,23 @@ class Closed(Model):
             second, _ = self.export("again_" + name, *options, "--threads", 1)
             self.assertEqual(first.read_bytes(), second.read_bytes())
 
+    def test_the_same_picture_is_the_same_bytes(self):
+        for name, *options in (["x.png"], ["l.png", "--translucent", "--perspective", "--window", "0.2,0.6"],
+                               ["s.png", "--surface", 0.4, "--plane", "100,0,0,1,0,0", "--view", "0.3,-0.4,0.9"]):
+            options += ["--size", 96]
+            said = self.ask("render", "block", self.folder / name, *options)
+            self.ask("render", "block", self.folder / f"again_{name}", *options, "--threads", 1)
+            first = (self.folder / name).read_bytes()
+            self.assertEqual(first, (self.folder / f"again_{name}").read_bytes())
+            self.assertEqual(said["bytes"], len(first))
+            width, height = struct.unpack(">II", first[16:24])
+            self.assertTrue(first.startswith(b"\x89PNG") and width >= 96 and height >= 96)
+
+    def test_the_scale_of_a_picture_is_the_blocks(self):
+        """Seen along z the region fills 88 % of the picture."""
+        said = self.ask("render", "block", self.folder / "z.png", "--view", "z", "--size", 100)
+        self.near(said["um_per_px"], (HIGH - LOW) / 88, 1e-9)
+
 
 class Refusals(Model):
     def complaint(self, code, *args):
@@ -257,7 +274,14 @@ class Refusals(Model):
                      ["export", "block", self.folder / "a.stl"],
                      ["export", "block", self.folder / "a.csv", "--level", 0.3],
                      ["export", "block", self.folder / "a.vtu", "--step", 3],
-                     ["export", "block", self.folder / "a.nrrd", "--step", -3]):
+                     ["export", "block", self.folder / "a.nrrd", "--step", -3],
+                     ["render", "block"], ["render", "block", self.folder / "a.jpg"],
+                     ["render", "block", self.folder / "a.png", "--view", "up"],
+                     ["render", "block", self.folder / "a.png", "--size", 0],
+                     ["render", "block", self.folder / "a.png", "--window", "0,1"],
+                     ["render", "block", self.folder / "a.png", "--translucent", "--window", "1,0"],
+                     ["render", "block", self.folder / "a.png", "--translucent", "--surface", 1],
+                     ["render", "block", self.folder / "a.png", "--box", "1,2,3"]):
             self.complaint(64, *args)
         self.assertEqual(list(self.folder.iterdir()), [])
 
@@ -265,11 +289,23 @@ class Refusals(Model):
         self.assertIn("a larger --step", self.complaint(65, "export", "block", self.folder / "a.nrrd",
                                                         "--step", 0.01))
 
+    def test_a_picture_of_nothing_is_refused(self):
+        out = self.folder / "a.png"
+        self.assertIn("nothing of the region lies in the box",
+                      self.complaint(65, "render", "block", out, "--box", "900,900,900,999,999,999"))
+        self.assertIn("has no normal", self.complaint(65, "render", "block", out, "--plane", "0,0,0,0,0,0"))
+        self.assertIn("no direction", self.complaint(65, "render", "block", out, "--view", "0,0,0"))
+        self.assertFalse(out.exists())
+
     def test_a_file_that_exists_stays(self):
         there = self.folder / "there.csv"
         there.write_text("mine")
         self.assertIn("exists already", self.complaint(64, "export", "block", there))
         self.assertEqual(there.read_text(), "mine")
+        picture = self.folder / "there.png"
+        picture.write_text("mine")
+        self.assertIn("exists already", self.complaint(64, "render", "block", picture))
+        self.assertEqual(picture.read_text(), "mine")
 
     def test_a_volume_has_no_stack_in_colour(self):
         self.assertIn("has no stack of sections in colour",

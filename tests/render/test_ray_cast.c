@@ -64,13 +64,15 @@ static int chord(const double from[3], const double to[3], const double start[3]
     *ret_from = -INFINITY;
     *ret_to = INFINITY;
     for (int a = 0; a < 3; a++) {
-        const double t0 = (from[a] - start[a]) / into[a], t1 = (to[a] - start[a]) / into[a];
+        double t0, t1;
 
         if (fabs(into[a]) < 1e-12) {
             if (start[a] < from[a] || start[a] > to[a])
                 return 0;
             continue;
         }
+        t0 = (from[a] - start[a]) / into[a];
+        t1 = (to[a] - start[a]) / into[a];
         *ret_from = fmax(*ret_from, fmin(t0, t1));
         *ret_to = fmin(*ret_to, fmax(t0, t1));
     }
@@ -220,6 +222,44 @@ TEST(the_pieces_of_a_line_add_up_to_the_segment_integral)
             CHECK_OK(gsn_spline_segment(kuhn.spline, end[s][0], end[s][1], &truth, &err), err);
             CHECK_NEAR(sum, truth, 1e-10 * length);
         }
+        kuhn_done(&kuhn);
+    }
+}
+
+/* Nor is a picture of it what its tetrahedra alone would give. */
+TEST(the_x_ray_of_a_random_spline_is_that_of_the_recurrence_along_segments)
+{
+    const struct gsn_view view = oblique(21, 18);
+    const struct gsn_ray_style style = plain(0, 1, 1);
+
+    for (unsigned degree = 1; degree <= 3; degree++) {
+        gsn_auto(gsn_plane) plane = NULL;
+        struct gsn_camera camera;
+        struct gsn_error err = { 0 };
+        struct kuhn kuhn;
+        size_t met = 0;
+
+        CHECK_OK(kuhn_random(low, high, cells, degree, 0.15, 17, &kuhn, &err), err);
+        camera = frame(&kuhn, &view);
+        CHECK_OK(gsn_ray_xray(kuhn.spline, &camera, NULL, &style, 0, NULL, &plane, &err), err);
+        for (uint32_t j = 0; j < view.height; j++) {
+            for (uint32_t i = 0; i < view.width; i++) {
+                double start[3], into[3], end[2][3], in, out, truth;
+
+                line_of(&camera, i + 0.5, j + 0.5, start, into);
+                if (!chord(low, high, start, into, &in, &out))
+                    continue;
+                for (int c = 0; c < 3; c++) {
+                    end[0][c] = start[c] + in * into[c];
+                    end[1][c] = start[c] + out * into[c];
+                }
+                CHECK_OK(gsn_spline_segment(kuhn.spline, end[0], end[1], &truth, &err), err);
+                CHECK_NEAR((double)plane->value[j * view.width + i], truth,
+                           1e-6 * fabs(truth) + 1e-4);
+                met++;
+            }
+        }
+        CHECK(met > 100);
         kuhn_done(&kuhn);
     }
 }

@@ -206,7 +206,7 @@ struct gsn_report {
     double loss_percent;  /* relative per cent of the baseline's density; NaN: withheld */
     double loss_points;   /* difference of the mean densities in points of density (0..100) */
     double loss_lower, loss_upper; /* its interval, per cent, where loss_interval says of what */
-    const char *loss_interval;     /* "95 %, stain and white"; NULL: no interval is known */
+    const char *loss_interval;     /* "95 %, stain, white and sections"; NULL: no interval is known */
     const char *loss_reason;       /* why it is withheld */
     double baseline_mean;          /* density */
     double baseline_volume_mm3;    /* of its region, where that has another size; 0: it has not */

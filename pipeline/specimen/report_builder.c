@@ -431,6 +431,8 @@ static void keep_measures(const struct gsn_report_inputs *e, const struct gsn_bu
                     "density");
     if (gsn_builder_own_scale_error(e) > 0)
         measure_row(result, "own_scale_error", gsn_builder_own_scale_error(e), NAN, NAN, "density");
+    if (e->analysis && isfinite(e->analysis->section_error))
+        measure_row(result, "section_error", e->analysis->section_error, NAN, NAN, "density");
     if (e->reconstruction && e->analysis) {
         const struct gsn_vector_scatter *turns = &e->reconstruction->scale.levelling.turns;
 

@@ -683,10 +683,19 @@ static void print_loss(const struct gsn_loss *loss, int narrowed, struct gsn_rep
         r->loss_lower = loss->percent_low;
         r->loss_upper = loss->percent_high;
         r->loss_interval =
-            narrowed ? "95 %, stain, white and dye vectors" : "95 %, stain and white";
+            narrowed ? "95 %, stain, white, dye vectors and sections"
+                     : "95 %, stain, white and sections";
     }
     r->loss_percent = loss->percent;
     r->loss_points = loss->points;
+}
+
+/* What each section errs by itself (cutting, registration, its own stain) is in the mean of either
+ * side, beside the stain; where nothing is known of that, no interval comes of it. */
+static void add_sections(double error, struct gsn_loss_side *side)
+{
+    if (side->standard_error > 0 && isfinite(error))
+        side->standard_error = hypot(side->standard_error, error);
 }
 
 void gsn_builder_loss(const struct gsn_report_inputs *e, struct gsn_builder *d)
@@ -714,6 +723,8 @@ void gsn_builder_loss(const struct gsn_report_inputs *e, struct gsn_builder *d)
         return;
     if (d->linked)
         gsn_builder_link_sides(e, d, &control, &treated);
+    add_sections((d->linked ? d->link.gain : 1) * b->section_error, &control);
+    add_sections(e->analysis->section_error, &treated);
     r->baseline_mean = control.mean;
     if (!gsn_loss_is_one_volume(treated.volume_um3, control.volume_um3))
         r->baseline_volume_mm3 = b->volume_mm3;

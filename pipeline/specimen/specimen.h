@@ -65,6 +65,7 @@ struct gsn_specimen_baseline {
     double mean_density, volume_mm3;
     double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
     double own_scale_error;    /* that without what its stain as a whole may be off by */
+    double section_error;      /* of the mean, by what each section errs by itself; 0: not known */
     /* Of the specimen of which least is known: shares of its region that were not measured, and
      * that were neither measured nor bridged. */
     double unmeasured, unknown;

@@ -460,6 +460,7 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
     b->mean_density_error =
         hypot(b->mean_density_error, known_measure(measures, "mean_density_error"));
     b->own_scale_error = hypot(b->own_scale_error, known_measure(measures, "own_scale_error"));
+    b->section_error = hypot(b->section_error, known_measure(measures, "section_error"));
     r = take_control(m, measures, run, err);
     if (r < 0)
         return r;
@@ -502,6 +503,7 @@ static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
         b->mean_density /= (double)b->specimens;
         b->mean_density_error /= (double)b->specimens;
         b->own_scale_error /= (double)b->specimens;
+        b->section_error /= (double)b->specimens;
         share_tissues(b);
         b->volume_mm3 /= (double)b->specimens;
     }

@@ -282,7 +282,7 @@ static void read_own_density(const struct gsn_measure_rows *rows, struct gsn_stu
     }
 }
 
-/* What sections err by is not in the interval of a loss, which is of stain and white. */
+/* The stored error of a mean density is of stain and white alone. */
 static void read_section_error(const json_t *root, struct gsn_study_specimen *s)
 {
     s->section_error =

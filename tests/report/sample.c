@@ -332,7 +332,7 @@ static void fill_head(struct gsn_report *r, enum gsn_report_kind kind)
     r->loss_percent = kind == GSN_REPORT_SPECIMEN ? 36.585 : (double)NAN;
     r->loss_lower = 34.08;
     r->loss_upper = 38.94;
-    r->loss_interval = kind == GSN_REPORT_SPECIMEN ? "95 %, stain and white" : NULL;
+    r->loss_interval = kind == GSN_REPORT_SPECIMEN ? "95 %, stain, white and sections" : NULL;
     r->loss_points = kind == GSN_REPORT_SPECIMEN ? 30.845 : (double)NAN;
     r->baseline_mean = .8431;
     r->zero_density = 0;

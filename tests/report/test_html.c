@@ -195,7 +195,7 @@ TEST(the_first_thing_said_is_the_loss_and_against_what)
     assert_non_null(strstr(page, "Collagen loss against GVP-D-S00"));
     assert_non_null(strstr(page, "<p class=\"big\">36.6<small>%</small></p>"));
     assert_non_null(strstr(page, "<p class=\"range\">34.1 to 38.9 % <span class=\"soft\">(95 %, "
-                                 "stain and white)</span></p>"));
+                                 "stain, white and sections)</span></p>"));
     assert_non_null(strstr(page, "Relative per cent"));
     assert_non_null(strstr(page, "30.8 points"));
     assert_non_null(strstr(page, "! Reported with warnings"));

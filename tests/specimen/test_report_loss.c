@@ -325,6 +325,24 @@ TEST(nothing_inferred_leaves_no_row_and_the_interval_by_the_rest_of_the_stain)
     check_interval(result, TREATED, TREATED * BESIDE_STEPS, of_linked_control());
 }
 
+/* Of both sides; the link of these two stains is 1. */
+TEST(what_each_section_errs_by_itself_is_in_the_interval)
+{
+    told_auto t;
+
+    told_init(&t, 2);
+    t.stack.scale.levelling.vectors = (struct gsn_vector_error_left){ 0 };
+    t.analysis.section_error = 0.011;
+    t.specimen.baseline.section_error = 0.007;
+    gsn_auto(gsn_specimen_result) result = summarised(&t);
+
+    check_interval(result, TREATED, hypot(TREATED * BESIDE_STEPS, 0.011),
+                   hypot(of_linked_control(), 0.007));
+    CHECK_NEAR(measure(result, "section_error").value, 0.011, 1e-12);
+    CHECK_NEAR(measure(result, "mean_density_error").value, TREATED * hypot(BY_ALL, IN_COMMON),
+               1e-12);
+}
+
 /* 1.3 % of a mean density, as two real tiles have it. */
 TEST(a_panel_that_went_through_jpeg_widens_the_interval_and_is_told)
 {
@@ -474,7 +492,7 @@ TEST(a_loss_is_the_same_whatever_bath_the_table_of_vectors_is_off_by)
     CHECK(a.lower < 40 && 40 < a.upper && b.lower < 40 && 40 < b.upper);
     CHECK(b.upper - b.lower > 5 && b.upper - b.lower < 12);
     CHECK(by_vectors(by_bath) > 1);
-    assert_non_null(strstr(by_bath->html, "95 %, stain, white and dye vectors"));
+    assert_non_null(strstr(by_bath->html, "95 %, stain, white, dye vectors and sections"));
 }
 
 /* Colours of a JPEG run over, so that tissue without collagen shows some. */

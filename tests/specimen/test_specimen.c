@@ -105,6 +105,10 @@ static struct gsn_specimen_baseline baseline_of(const struct gsn_specimen_result
                                                has_measure(control, "mean_density_error")
                                                    ? measure(control, "mean_density_error")
                                                    : 0,
+                                           .section_error =
+                                               has_measure(control, "section_error")
+                                                   ? measure(control, "section_error")
+                                                   : 0,
                                            .volume_mm3 = measure(control, "region_volume"),
                                            .definition = control->definition,
                                            .dyes = control->dyes };
@@ -194,15 +198,19 @@ TEST(the_interval_on_the_loss_holds_the_error_of_the_gains)
     const struct gsn_specimen_measure *loss = NULL;
     /* Four sections that scatter by 2 % of 2 sqrt(4 / 3) on each of three panels, on both sides. */
     const double each = 0.02 * sqrt(4 / 3.0) / 2 / sqrt(3);
+    /* Each of the eight that cross the region is 4 % off the middle of its neighbours, which is off
+     * by 1.5 times its variance. */
+    const double section = 0.04 / sqrt(1.5) / sqrt(8);
 
     for (size_t i = 0; i < result->measure_count; i++)
         if (strcmp(result->measure[i].name, "loss") == 0)
             loss = &result->measure[i];
     assert_non_null(loss);
     CHECK_NEAR(measure(base, "mean_density_error") / measure(base, "mean_density"), each, 5e-4);
+    CHECK_NEAR(measure(base, "section_error") / measure(base, "mean_density"), section, 5e-4);
     CHECK_NEAR(loss->value, 0, 0.5);
-    CHECK_NEAR(loss->upper - loss->lower, 2 * 1.96 * 100 * each * sqrt(2), 0.5);
-    CHECK(strstr(result->json, "95 %, stain, white and dye vectors") != NULL);
+    CHECK_NEAR(loss->upper - loss->lower, 2 * 1.96 * 100 * hypot(each, section) * sqrt(2), 0.5);
+    CHECK(strstr(result->json, "95 %, stain, white, dye vectors and sections") != NULL);
 }
 
 /* Case 12. Tissue so dark that the red dye leaves no light at all in green and blue. */

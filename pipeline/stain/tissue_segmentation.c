@@ -695,7 +695,7 @@ static int flood_root(struct body *b, const struct gsn_tissue_levels *levels, st
         f.whose[i] = b->set[i] ? ROOT : b->least[i] > bone || b->value[i] < GLASS ? OTHER : NOBODY;
     run_flood(&f);
     for (size_t i = 0; i < b->count; i++)
-        b->set[i] = b->set[i] || (f.whose[i] == ROOT && b->value[i] > levels->border);
+        b->set[i] = f.whose[i] == ROOT && (double)b->value[i] > levels->border;
     r = fill_sections(b, err);
     if (r < 0)
         return r;

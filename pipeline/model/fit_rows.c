@@ -135,9 +135,10 @@ static int weigh_folds(struct gsn_fit_rows *rows, const uint32_t *tet, struct gs
                         rows->samples->count);
     for (size_t k = 0; k < rows->folds; k++)
         if (!(rows->mass[k] > 0))
-            return rows->folds == 1
-                       ? gsn_fail(err, GSN_E_INPUT, "no sample in the mesh has a weight above 0")
-                       : gsn_fail(err, GSN_E_INPUT, "fold %zu has no samples", k);
+            return gsn_fail(err, GSN_E_INPUT, "no sample in the mesh%s has a weight above 0",
+                            rows->folds == 1 ? ""
+                            : k == 0         ? " and in fold 0"
+                                             : " and in fold 1");
     return GSN_OK;
 }
 
@@ -173,7 +174,8 @@ int gsn_fit_rows_sort(struct gsn_fit_rows *rows, const struct gsn_dms *space,
     if (samples->count == 0)
         return gsn_fail(err, GSN_E_INPUT, "there are no samples to fit");
     if (samples->count > MOST_SAMPLES)
-        return gsn_fail(err, GSN_E_LIMIT, "%zu samples are more than a fit takes", samples->count);
+        return gsn_fail(err, GSN_E_LIMIT, "%zu samples are more than the %d that a fit takes",
+                        samples->count, MOST_SAMPLES);
     tet = gsn_alloc_array(samples->count, sizeof *tet);
     if (!tet)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", samples->count);

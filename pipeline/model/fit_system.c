@@ -493,7 +493,10 @@ int gsn_fit_system_solve(const struct gsn_fit_system *system, const struct gsn_f
         multiply_matrix(system, system->value, way, image, threads);
         curvature = dot_product(way, image, n);
         if (!(curvature > 0))
-            return gsn_fail(err, GSN_E_FIT, "the normal equations are not positive");
+            return gsn_fail(err, GSN_E_FIT,
+                            "the normal equations are not positive definite: iteration %u meets a "
+                            "direction of curvature %.3g",
+                            iteration + 1, curvature);
         for (size_t i = 0; i < n; i++) {
             x[i] += before / curvature * way[i];
             rest[i] -= before / curvature * image[i];

@@ -155,7 +155,13 @@ try {
     char text[128];
 
     if (!in_range(question->options))
-        return gsn_fail(err, GSN_E_INPUT, "the mesher's options are out of range");
+        return gsn_fail(
+            err, GSN_E_INPUT,
+            "the mesher's options are out of range: tetrahedra of at most %g um3 (0 or "
+            "more), a radius-edge ratio of %g (1.1 to 10), dihedral angles of %g degrees "
+            "(0 to 18)",
+            question->options.max_tet_um3, question->options.radius_edge,
+            question->options.min_dihedral_deg);
     if (question->surface) {
         fill_points(in, question->surface->vertex, question->surface->vertex_count);
         fill_facets(in, *question->surface);

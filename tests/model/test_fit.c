@@ -426,12 +426,23 @@ TEST(a_weight_is_how_often_a_sample_counts)
         CHECK_NEAR(gsn_spline_controls(weighted)[i], gsn_spline_controls(plain)[i], 1e-6);
     weight[5] = -1;
     {
+        gsn_auto_mem(uint8_t) fold = gsn_alloc_array(count, 1);
+        struct gsn_fit_options folded = options;
         struct gsn_spline *none = NULL;
         struct gsn_error err = { 0 };
 
         CHECK(gsn_fit(space, &grid.samples, &options, &none, &one, NULL, NULL, &err) ==
               GSN_E_INPUT);
         CHECK(strstr(err.text, "sample 5 has the weight -1"));
+        memset(weight, 0, count * sizeof *weight);
+        CHECK(gsn_fit(space, &grid.samples, &options, &none, &one, NULL, NULL, &err) ==
+              GSN_E_INPUT);
+        CHECK(strstr(err.text, "no sample in the mesh has a weight above 0"));
+        for (size_t i = 0; i < count; i++)
+            weight[i] = 1;
+        folded.fold = fold;
+        CHECK(gsn_fit(space, &grid.samples, &folded, &none, &one, NULL, NULL, &err) == GSN_E_INPUT);
+        CHECK(strstr(err.text, "no sample in the mesh and in fold 1 has a weight above 0"));
     }
     gsn_free(at);
     shape_samples_done(&grid);

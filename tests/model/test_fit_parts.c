@@ -262,6 +262,14 @@ TEST(conjugate_gradients_find_the_answer_they_were_given)
         CHECK(gsn_fit_system_solve(&system, patches, 1e-12, 3, 2, x, &iterations, &err) ==
               GSN_E_FIT);
         CHECK(strstr(err.text, "3 iterations"));
+        /* equations that no least squares have */
+        for (size_t k = 0; k < system.first[n]; k++)
+            system.value[k] = -system.value[k];
+        memset(x, 0, n * sizeof *x);
+        CHECK(gsn_fit_system_solve(&system, patches, 1e-12, 3, 2, x, &iterations, &err) ==
+              GSN_E_FIT);
+        CHECK(strstr(err.text,
+                     "not positive definite: iteration 1 meets a direction of curvature -"));
         gsn_fit_system_done(&system);
         shape_samples_done(&grid);
     }

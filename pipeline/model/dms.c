@@ -629,11 +629,6 @@ const uint8_t *gsn_dms_beta(const struct gsn_dms *space, size_t function)
     return space->sets->beta[function];
 }
 
-int gsn_dms_is_whole(const struct gsn_dms *space, size_t tet)
-{
-    return space->whole[tet];
-}
-
 void gsn_dms_core(const struct gsn_dms *space, size_t tet, double ret_delta[4])
 {
     double knot[GSN_SIMPLEX_MAX_KNOTS][3];

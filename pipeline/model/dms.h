@@ -88,9 +88,6 @@ int gsn_dms_locate(const struct gsn_dms *space, const double u[3], size_t hint, 
 /* delta_k of the core of a tetrahedron: where every barycentric lambda_k > delta_k the spline is
  * one polynomial (docs/MATH.md, "core tetrahedron"). */
 void gsn_dms_core(const struct gsn_dms *space, size_t tet, double ret_delta[4]);
-/* Whether all functions sum to one everywhere in a tetrahedron: no knot of its boundary vertices
- * lies on the inner side of the boundary. */
-int gsn_dms_is_whole(const struct gsn_dms *space, size_t tet);
 
 struct gsn_dms_term {
     uint32_t tet, function, control;

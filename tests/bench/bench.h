@@ -74,6 +74,11 @@ void bench_case_done(struct bench_case *bench);
 /* edge^3 voxels whose cells fill the cube. */
 struct gsn_lattice bench_lattice(size_t edge);
 
+/* ---- vtk.c ---- */
+
+/* A linear case as a VTK file of tetrahedra, the control values at the vertices. */
+int bench_write_mesh(const struct bench_case *bench, const char *path);
+
 /* ---- machine.c ---- */
 
 /* Multiply-adds in registers and nothing else. Runs as a job with a struct bench_peak. */
@@ -96,6 +101,7 @@ void bench_resample(void);
 void bench_threads(void);
 void bench_slope(void);
 void bench_vtk(void);
+void bench_rays(void);
 void bench_kernel(void);
 void bench_points(void);
 void bench_locate(void);

@@ -21,6 +21,7 @@ static const struct {
     { "threads", bench_threads, "the same on two threads" },
     { "slope", bench_slope, "how its time grows with the number of tetrahedra" },
     { "vtk", bench_vtk, "linear splines on 96^3 voxels, against vtkProbeFilter" },
+    { "rays", bench_rays, "pictures of 512^2 rays, against VTK's mappers and a trilinear caster" },
     { "kernel", bench_kernel, "seam kernels, as a fraction of the machine's peak" },
     { "points", bench_points, "value and gradient at random points" },
     { "locate", bench_locate, "which tetrahedron holds a point" },

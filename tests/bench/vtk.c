@@ -17,7 +17,7 @@
 #define CLOUD 0.03
 
 /* The mesh as a VTK file of linear tetrahedra, the spline's control values at the vertices. */
-static int write_mesh(const struct bench_case *bench, const char *path)
+int bench_write_mesh(const struct bench_case *bench, const char *path)
 {
     const struct gsn_tets *mesh = bench->mesh;
     double *at_vertex = bench_alloc(mesh->vertex_count, sizeof *at_vertex);
@@ -128,7 +128,7 @@ static void contest(struct bench_case *bench, char *mesh_path, char *values_path
     char text[32];
 
     snprintf(text, sizeof text, "%zu", edge);
-    if (!write_mesh(bench, mesh_path) || !start_probe(&probe, mesh_path, text, values_path)) {
+    if (!bench_write_mesh(bench, mesh_path) || !start_probe(&probe, mesh_path, text, values_path)) {
         bench_skip("vtk", "ns/point", "vtkProbeFilter", "the peer could not be started");
     } else if (!take_turns(&probe, &job, &vtk_s)) {
         bench_skip("vtk", "ns/point", "vtkProbeFilter",

@@ -1,197 +1,25 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Drawing on a picture in memory: rectangles, lines, letters, colour maps, and the sheet around.
+/* Drawing on a picture in memory: rectangles, lines, colour maps, and the sheet around.
  *
- * Method: plain raster drawing with clipping; a bitmap face of 5 x 7 dots drawn for this program,
- * so that a report needs no font and has the same bytes everywhere. The colour map is viridis (S.
- * van der Walt, N. Smith 2015, CC0) at 17 even places, linear between; values that are NaN are
- * hatched.
+ * Method: rectangles are set pixel by pixel, lines are stroked by cairo all at once as weights of 8
+ * bits, letters are pango's (lettering.h). The colour map is viridis (S. van der Walt, N. Smith
+ * 2015, CC0) at 17 even places, linear between; values that are NaN are hatched.
  *
  * A sheet has the title above, the colour scale to the right, a scale bar and a note below; the
- * scale bar has the largest length of 1, 2 or 5 times a power of ten that fits.
+ * scale bar has the largest length of 1, 2 or 5 times a power of ten that fits. What a line of
+ * letters needs is measured, and the sheet is made as wide as that.
  *
- * Failure: GSN_E_NOMEM for a sheet; drawing outside of a picture is cut.
- * Cost: linear in the pixels that are set. */
+ * Failure: GSN_E_NOMEM; a sheet also GSN_E_NOTFOUND without the fonts; drawing outside of a picture
+ * is cut.
+ * Cost: linear in the pixels that are set; a sheet opens the fonts once. */
 #include "pipeline/render/canvas.h"
 
 #include <assert.h>
 #include <math.h>
-#include <stddef.h>
-#include <stdint.h>
 #include <stdio.h>
-#include <string.h>
 
-enum { GLYPH_WIDTH = 5, GLYPH_ROWS = 9 };
-
-/* Rows from top to bottom; bit 4 is the leftmost dot. */
-struct glyph_bits {
-    uint8_t row[GLYPH_ROWS];
-};
-
-/* --- the face --- */
-
-/* Each glyph: seven rows from top to bottom, the lowest five bits from left to right; then how many
- * rows the glyph hangs below the usual place. Drawn for this program. */
-struct glyph {
-    uint8_t row[7], drop;
-};
-
-/* clang-format off */
-static const struct glyph ascii[95] = {
-    { { 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00 }, 0 }, /* space */
-    { { 0x04, 0x04, 0x04, 0x04, 0x04, 0x00, 0x04 }, 0 }, /* ! */
-    { { 0x0a, 0x0a, 0x0a, 0x00, 0x00, 0x00, 0x00 }, 0 }, /* " */
-    { { 0x0a, 0x0a, 0x1f, 0x0a, 0x1f, 0x0a, 0x0a }, 0 }, /* # */
-    { { 0x04, 0x0f, 0x14, 0x0e, 0x05, 0x1e, 0x04 }, 0 }, /* $ */
-    { { 0x18, 0x19, 0x02, 0x04, 0x08, 0x13, 0x03 }, 0 }, /* % */
-    { { 0x0c, 0x12, 0x14, 0x08, 0x15, 0x12, 0x0d }, 0 }, /* & */
-    { { 0x04, 0x04, 0x08, 0x00, 0x00, 0x00, 0x00 }, 0 }, /* ' */
-    { { 0x02, 0x04, 0x08, 0x08, 0x08, 0x04, 0x02 }, 0 }, /* ( */
-    { { 0x08, 0x04, 0x02, 0x02, 0x02, 0x04, 0x08 }, 0 }, /* ) */
-    { { 0x00, 0x04, 0x15, 0x0e, 0x15, 0x04, 0x00 }, 0 }, /* asterisk */
-    { { 0x00, 0x04, 0x04, 0x1f, 0x04, 0x04, 0x00 }, 0 }, /* + */
-    { { 0x00, 0x00, 0x00, 0x00, 0x0c, 0x04, 0x08 }, 1 }, /* , */
-    { { 0x00, 0x00, 0x00, 0x1f, 0x00, 0x00, 0x00 }, 0 }, /* - */
-    { { 0x00, 0x00, 0x00, 0x00, 0x00, 0x0c, 0x0c }, 0 }, /* . */
-    { { 0x01, 0x01, 0x02, 0x04, 0x08, 0x10, 0x10 }, 0 }, /* slash */
-    { { 0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e }, 0 }, /* 0 */
-    { { 0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e }, 0 }, /* 1 */
-    { { 0x0e, 0x11, 0x01, 0x02, 0x04, 0x08, 0x1f }, 0 }, /* 2 */
-    { { 0x1f, 0x02, 0x04, 0x02, 0x01, 0x11, 0x0e }, 0 }, /* 3 */
-    { { 0x02, 0x06, 0x0a, 0x12, 0x1f, 0x02, 0x02 }, 0 }, /* 4 */
-    { { 0x1f, 0x10, 0x1e, 0x01, 0x01, 0x11, 0x0e }, 0 }, /* 5 */
-    { { 0x06, 0x08, 0x10, 0x1e, 0x11, 0x11, 0x0e }, 0 }, /* 6 */
-    { { 0x1f, 0x01, 0x02, 0x04, 0x08, 0x08, 0x08 }, 0 }, /* 7 */
-    { { 0x0e, 0x11, 0x11, 0x0e, 0x11, 0x11, 0x0e }, 0 }, /* 8 */
-    { { 0x0e, 0x11, 0x11, 0x0f, 0x01, 0x02, 0x0c }, 0 }, /* 9 */
-    { { 0x00, 0x0c, 0x0c, 0x00, 0x0c, 0x0c, 0x00 }, 0 }, /* : */
-    { { 0x00, 0x0c, 0x0c, 0x00, 0x0c, 0x04, 0x08 }, 0 }, /* ; */
-    { { 0x02, 0x04, 0x08, 0x10, 0x08, 0x04, 0x02 }, 0 }, /* < */
-    { { 0x00, 0x00, 0x1f, 0x00, 0x1f, 0x00, 0x00 }, 0 }, /* = */
-    { { 0x08, 0x04, 0x02, 0x01, 0x02, 0x04, 0x08 }, 0 }, /* > */
-    { { 0x0e, 0x11, 0x01, 0x02, 0x04, 0x00, 0x04 }, 0 }, /* ? */
-    { { 0x0e, 0x11, 0x17, 0x15, 0x17, 0x10, 0x0e }, 0 }, /* @ */
-    { { 0x0e, 0x11, 0x11, 0x1f, 0x11, 0x11, 0x11 }, 0 }, /* A */
-    { { 0x1e, 0x11, 0x11, 0x1e, 0x11, 0x11, 0x1e }, 0 }, /* B */
-    { { 0x0e, 0x11, 0x10, 0x10, 0x10, 0x11, 0x0e }, 0 }, /* C */
-    { { 0x1c, 0x12, 0x11, 0x11, 0x11, 0x12, 0x1c }, 0 }, /* D */
-    { { 0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x1f }, 0 }, /* E */
-    { { 0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x10 }, 0 }, /* F */
-    { { 0x0e, 0x11, 0x10, 0x17, 0x11, 0x11, 0x0f }, 0 }, /* G */
-    { { 0x11, 0x11, 0x11, 0x1f, 0x11, 0x11, 0x11 }, 0 }, /* H */
-    { { 0x0e, 0x04, 0x04, 0x04, 0x04, 0x04, 0x0e }, 0 }, /* I */
-    { { 0x07, 0x02, 0x02, 0x02, 0x02, 0x12, 0x0c }, 0 }, /* J */
-    { { 0x11, 0x12, 0x14, 0x18, 0x14, 0x12, 0x11 }, 0 }, /* K */
-    { { 0x10, 0x10, 0x10, 0x10, 0x10, 0x10, 0x1f }, 0 }, /* L */
-    { { 0x11, 0x1b, 0x15, 0x15, 0x11, 0x11, 0x11 }, 0 }, /* M */
-    { { 0x11, 0x19, 0x15, 0x13, 0x11, 0x11, 0x11 }, 0 }, /* N */
-    { { 0x0e, 0x11, 0x11, 0x11, 0x11, 0x11, 0x0e }, 0 }, /* O */
-    { { 0x1e, 0x11, 0x11, 0x1e, 0x10, 0x10, 0x10 }, 0 }, /* P */
-    { { 0x0e, 0x11, 0x11, 0x11, 0x15, 0x12, 0x0d }, 0 }, /* Q */
-    { { 0x1e, 0x11, 0x11, 0x1e, 0x14, 0x12, 0x11 }, 0 }, /* R */
-    { { 0x0f, 0x10, 0x10, 0x0e, 0x01, 0x01, 0x1e }, 0 }, /* S */
-    { { 0x1f, 0x04, 0x04, 0x04, 0x04, 0x04, 0x04 }, 0 }, /* T */
-    { { 0x11, 0x11, 0x11, 0x11, 0x11, 0x11, 0x0e }, 0 }, /* U */
-    { { 0x11, 0x11, 0x11, 0x11, 0x11, 0x0a, 0x04 }, 0 }, /* V */
-    { { 0x11, 0x11, 0x11, 0x15, 0x15, 0x1b, 0x11 }, 0 }, /* W */
-    { { 0x11, 0x11, 0x0a, 0x04, 0x0a, 0x11, 0x11 }, 0 }, /* X */
-    { { 0x11, 0x11, 0x0a, 0x04, 0x04, 0x04, 0x04 }, 0 }, /* Y */
-    { { 0x1f, 0x01, 0x02, 0x04, 0x08, 0x10, 0x1f }, 0 }, /* Z */
-    { { 0x0e, 0x08, 0x08, 0x08, 0x08, 0x08, 0x0e }, 0 }, /* [ */
-    { { 0x10, 0x10, 0x08, 0x04, 0x02, 0x01, 0x01 }, 0 }, /* backslash */
-    { { 0x0e, 0x02, 0x02, 0x02, 0x02, 0x02, 0x0e }, 0 }, /* ] */
-    { { 0x04, 0x0a, 0x11, 0x00, 0x00, 0x00, 0x00 }, 0 }, /* ^ */
-    { { 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x1f }, 1 }, /* _ */
-    { { 0x08, 0x04, 0x02, 0x00, 0x00, 0x00, 0x00 }, 0 }, /* ` */
-    { { 0x00, 0x00, 0x0e, 0x01, 0x0f, 0x11, 0x0f }, 0 }, /* a */
-    { { 0x10, 0x10, 0x1e, 0x11, 0x11, 0x11, 0x1e }, 0 }, /* b */
-    { { 0x00, 0x00, 0x0e, 0x10, 0x10, 0x11, 0x0e }, 0 }, /* c */
-    { { 0x01, 0x01, 0x0f, 0x11, 0x11, 0x11, 0x0f }, 0 }, /* d */
-    { { 0x00, 0x00, 0x0e, 0x11, 0x1f, 0x10, 0x0e }, 0 }, /* e */
-    { { 0x06, 0x09, 0x08, 0x1c, 0x08, 0x08, 0x08 }, 0 }, /* f */
-    { { 0x0f, 0x11, 0x11, 0x11, 0x0f, 0x01, 0x0e }, 2 }, /* g */
-    { { 0x10, 0x10, 0x16, 0x19, 0x11, 0x11, 0x11 }, 0 }, /* h */
-    { { 0x04, 0x00, 0x0c, 0x04, 0x04, 0x04, 0x0e }, 0 }, /* i */
-    { { 0x00, 0x06, 0x02, 0x02, 0x02, 0x12, 0x0c }, 2 }, /* j */
-    { { 0x10, 0x10, 0x12, 0x14, 0x18, 0x14, 0x12 }, 0 }, /* k */
-    { { 0x0c, 0x04, 0x04, 0x04, 0x04, 0x04, 0x0e }, 0 }, /* l */
-    { { 0x00, 0x00, 0x1a, 0x15, 0x15, 0x15, 0x15 }, 0 }, /* m */
-    { { 0x00, 0x00, 0x16, 0x19, 0x11, 0x11, 0x11 }, 0 }, /* n */
-    { { 0x00, 0x00, 0x0e, 0x11, 0x11, 0x11, 0x0e }, 0 }, /* o */
-    { { 0x1e, 0x11, 0x11, 0x11, 0x1e, 0x10, 0x10 }, 2 }, /* p */
-    { { 0x0f, 0x11, 0x11, 0x11, 0x0f, 0x01, 0x01 }, 2 }, /* q */
-    { { 0x00, 0x00, 0x16, 0x19, 0x10, 0x10, 0x10 }, 0 }, /* r */
-    { { 0x00, 0x00, 0x0f, 0x10, 0x0e, 0x01, 0x1e }, 0 }, /* s */
-    { { 0x08, 0x08, 0x1e, 0x08, 0x08, 0x09, 0x06 }, 0 }, /* t */
-    { { 0x00, 0x00, 0x11, 0x11, 0x11, 0x13, 0x0d }, 0 }, /* u */
-    { { 0x00, 0x00, 0x11, 0x11, 0x11, 0x0a, 0x04 }, 0 }, /* v */
-    { { 0x00, 0x00, 0x11, 0x11, 0x15, 0x15, 0x0a }, 0 }, /* w */
-    { { 0x00, 0x00, 0x11, 0x0a, 0x04, 0x0a, 0x11 }, 0 }, /* x */
-    { { 0x11, 0x11, 0x11, 0x11, 0x0f, 0x01, 0x0e }, 2 }, /* y */
-    { { 0x00, 0x00, 0x1f, 0x02, 0x04, 0x08, 0x1f }, 0 }, /* z */
-    { { 0x02, 0x04, 0x04, 0x08, 0x04, 0x04, 0x02 }, 0 }, /* { */
-    { { 0x04, 0x04, 0x04, 0x04, 0x04, 0x04, 0x04 }, 0 }, /* | */
-    { { 0x08, 0x04, 0x04, 0x02, 0x04, 0x04, 0x08 }, 0 }, /* } */
-    { { 0x00, 0x00, 0x08, 0x15, 0x02, 0x00, 0x00 }, 0 }, /* ~ */
-};
-
-static const struct glyph square = { { 0x1f, 0x11, 0x11, 0x11, 0x11, 0x11, 0x1f }, 0 };
-
-/* Beyond ASCII, by code point. */
-static const struct {
-    uint32_t code;
-    struct glyph glyph;
-} more[] = {
-    { 0xb2, { { 0x0c, 0x12, 0x04, 0x08, 0x1e, 0x00, 0x00 }, 0 } },
-    { 0xb3, { { 0x1c, 0x02, 0x0c, 0x02, 0x1c, 0x00, 0x00 }, 0 } },
-    { 0xb5, { { 0x11, 0x11, 0x11, 0x13, 0x1d, 0x10, 0x10 }, 2 } },
-    { 0xb0, { { 0x0c, 0x12, 0x12, 0x0c, 0x00, 0x00, 0x00 }, 0 } },
-    { 0xd7, { { 0x00, 0x11, 0x0a, 0x04, 0x0a, 0x11, 0x00 }, 0 } },
-};
-/* clang-format on */
-
-/* Takes one code point from UTF-8 text; a malformed byte is taken alone. */
-static uint32_t take_code_point(const char **text)
-{
-    const unsigned char *c = (const unsigned char *)*text;
-
-    if (c[0] >= 0xc2 && c[0] < 0xe0 && (c[1] & 0xc0) == 0x80) {
-        *text += 2;
-        return (c[0] & 0x1fU) << 6 | (c[1] & 0x3fU);
-    }
-    if (c[0] >= 0xe0 && c[0] < 0xf0 && (c[1] & 0xc0) == 0x80 && (c[2] & 0xc0) == 0x80) {
-        *text += 3;
-        return (c[0] & 0x0fU) << 12 | (c[1] & 0x3fU) << 6 | (c[2] & 0x3fU);
-    }
-    *text += 1;
-    return c[0];
-}
-
-static const struct glyph *find(uint32_t code)
-{
-    if (code >= 32 && code < 127)
-        return &ascii[code - 32];
-    for (size_t i = 0; i < sizeof more / sizeof *more; i++) {
-        if (more[i].code == code)
-            return &more[i].glyph;
-    }
-    return &square;
-}
-
-/* Takes the next character off UTF-8 text; returns 0 at its end. What the face does not have is an
- * empty square. */
-static int next_glyph(const char **text, struct glyph_bits *ret_bits)
-{
-    const struct glyph *glyph;
-
-    if (**text == '\0')
-        return 0;
-    glyph = find(take_code_point(text));
-    *ret_bits = (struct glyph_bits){ { 0 } };
-    for (int y = 0; y < 7; y++)
-        ret_bits->row[y + glyph->drop] = glyph->row[y];
-    return 1;
-}
+#include "pipeline/render/lettering_internal.h"
 
 /* --- drawing --- */
 
@@ -306,62 +134,48 @@ void gsn_canvas_no_data(struct gsn_image *image, int x, int y)
     gsn_canvas_put(image, x, y, stripe < 2 ? no_data_dark : no_data_light);
 }
 
-/* Distance of a point from a segment. */
-static double distance_to_segment(double px, double py, double x0, double y0, double x1, double y1)
-{
-    const double dx = x1 - x0, dy = y1 - y0, length2 = dx * dx + dy * dy;
-    double t = 0.0;
+struct gsn_pen {
+    cairo_surface_t *weights;
+    cairo_t *cairo;
+};
 
-    if (length2 > 0.0)
-        t = fmin(1.0, fmax(0.0, ((px - x0) * dx + (py - y0) * dy) / length2));
-    return hypot(px - x0 - t * dx, py - y0 - t * dy);
+int gsn_pen_new(const struct gsn_image *image, struct gsn_pen **ret_pen, struct gsn_error *err)
+{
+    gsn_auto(gsn_pen) pen = gsn_alloc_array(1, sizeof *pen);
+
+    if (!pen)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for lines");
+    pen->weights =
+        cairo_image_surface_create(CAIRO_FORMAT_A8, (int)image->width, (int)image->height);
+    pen->cairo = cairo_create(pen->weights);
+    *ret_pen = gsn_steal(&pen);
+    return GSN_OK;
 }
 
-static int clamp_px(double at, uint32_t most)
+void gsn_pen_free(struct gsn_pen *pen)
 {
-    return (int)fmin((double)most, fmax(0.0, at));
+    if (!pen)
+        return;
+    cairo_destroy(pen->cairo);
+    cairo_surface_destroy(pen->weights);
+    gsn_free(pen);
 }
 
-/* Columns of row y that the line can reach, so that long lines cost their length and not the area
- * of their bounding box. */
-static void row_span(double x0, double y0, double x1, double y1, double reach, int y, double *low,
-                     double *high)
+void gsn_pen_line(struct gsn_pen *pen, double x0, double y0, double x1, double y1)
 {
-    const double dy = y1 - y0;
-
-    *low = fmin(x0, x1);
-    *high = fmax(x0, x1);
-    if (fabs(dy) > 1e-9) {
-        const double ta = fmin(1.0, fmax(0.0, (y - reach - y0) / dy));
-        const double tb = fmin(1.0, fmax(0.0, (y + 1.0 + reach - y0) / dy));
-        const double a = x0 + ta * (x1 - x0), b = x0 + tb * (x1 - x0);
-
-        *low = fmin(a, b);
-        *high = fmax(a, b);
-    }
+    cairo_move_to(pen->cairo, x0, y0);
+    cairo_line_to(pen->cairo, x1, y1);
 }
 
-void gsn_canvas_line(struct gsn_image *image, double x0, double y0, double x1, double y1,
-                     double width, struct gsn_colour colour)
+int gsn_pen_ink(struct gsn_pen *pen, struct gsn_image *image, double width,
+                struct gsn_colour colour, struct gsn_error *err)
 {
-    const double reach = 0.5 * width + 1.0;
-    const int top = clamp_px(floor(fmin(y0, y1) - reach), image->height);
-    const int bottom = clamp_px(ceil(fmax(y0, y1) + reach), image->height);
-
-    for (int y = top; y < bottom; y++) {
-        double low, high;
-
-        row_span(x0, y0, x1, y1, reach, y, &low, &high);
-        for (int x = clamp_px(floor(low - reach), image->width);
-             x < clamp_px(ceil(high + reach), image->width); x++) {
-            /* Coverage of a pixel by the edge at half the width, to first order. */
-            const double cover =
-                0.5 * width + 0.5 - distance_to_segment(x + 0.5, y + 0.5, x0, y0, x1, y1);
-
-            if (cover > 0.0)
-                gsn_canvas_mix(image, x, y, colour, fmin(cover, width));
-        }
-    }
+    cairo_set_line_width(pen->cairo, width);
+    cairo_set_line_cap(pen->cairo, CAIRO_LINE_CAP_ROUND);
+    cairo_stroke(pen->cairo);
+    if (cairo_status(pen->cairo) != CAIRO_STATUS_SUCCESS)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while drawing lines");
+    return gsn_lettering_ink(image, 0, 0, pen->weights, colour, err);
 }
 
 void gsn_canvas_paste(struct gsn_image *image, const struct gsn_image *picture, int x, int y)
@@ -377,46 +191,25 @@ void gsn_canvas_paste(struct gsn_image *image, const struct gsn_image *picture, 
     }
 }
 
-void gsn_canvas_text(struct gsn_image *image, int x, int y, int scale, const char *text,
-                     struct gsn_colour colour)
+/* --- the sheet a picture is mounted on --- */
+
+static const struct gsn_colour paper = { 255, 255, 255 };
+static const struct gsn_colour ink = { 40, 40, 46 };
+static const struct gsn_colour faint = { 200, 200, 204 };
+
+static const double title_px = 13, label_px = 12; /* as the words of the page around */
+
+enum {
+    MARGIN = 12,
+    GAP = 4, /* between a line of letters and what it belongs to */
+    TICK = 3,
+    BAR = 14,         /* width of the colour scale */
+    LEAST_WIDTH = 96, /* of a sheet, so that a picture of few pixels still carries its letters */
+};
+
+static int larger_of(int a, int b)
 {
-    struct glyph_bits bits;
-
-    for (; next_glyph(&text, &bits); x += GSN_CANVAS_CELL_WIDTH * scale) {
-        for (int j = 0; j < GLYPH_ROWS; j++) {
-            for (int i = 0; i < GLYPH_WIDTH; i++) {
-                if (bits.row[j] >> (GLYPH_WIDTH - 1 - i) & 1)
-                    gsn_canvas_box(image, x + i * scale, y + j * scale, scale, scale, colour);
-            }
-        }
-    }
-}
-
-int gsn_canvas_text_width(const char *text, int scale)
-{
-    struct glyph_bits bits;
-    int cells = 0;
-
-    while (next_glyph(&text, &bits))
-        cells++;
-    return cells * GSN_CANVAS_CELL_WIDTH * scale;
-}
-
-void gsn_canvas_scale_bar(struct gsn_image *image, int x, int y, double um_per_px, int most_px,
-                          struct gsn_colour colour)
-{
-    const double most_um = um_per_px * most_px, power = pow(10.0, floor(log10(most_um)));
-    const double digit = most_um / power;
-    const double um = power * (digit >= 5.0 ? 5.0 : digit >= 2.0 ? 2.0 : 1.0);
-    const int px = (int)(um / um_per_px + 0.5);
-    char label[32];
-
-    if (um >= 1000.0)
-        (void)snprintf(label, sizeof label, "%g mm", um / 1000.0);
-    else
-        (void)snprintf(label, sizeof label, "%g \xc2\xb5m", um);
-    gsn_canvas_box(image, x, y - 3, px, 3, colour);
-    gsn_canvas_text(image, x, y - 4 - GSN_CANVAS_CELL_HEIGHT, 1, label, colour);
+    return a > b ? a : b;
 }
 
 /* 1, 2 or 5 times a power of ten: the smallest that is not below. */
@@ -439,84 +232,175 @@ static void write_number(char *text, size_t size, double value, double step)
         (void)snprintf(text, size, "%.*f", digits, value);
 }
 
-void gsn_canvas_colour_bar(struct gsn_image *image, int x, int y, int width, int height,
-                           enum gsn_colour_map map, double low, double high, const char *unit,
-                           struct gsn_colour ink)
+/* The largest round length of at most most_px. */
+static void measure_scale_bar(double um_per_px, int most_px, int *ret_px, char label[32])
 {
-    const double step = round_step((high - low) / 6.0);
-    const double first = ceil(low / step - 1e-9);
+    const double most_um = um_per_px * most_px, power = pow(10.0, floor(log10(most_um)));
+    const double digit = most_um / power;
+    const double um = power * (digit >= 5.0 ? 5.0 : digit >= 2.0 ? 2.0 : 1.0);
 
-    assert(low < high);
-    for (int j = 0; j < height; j++)
-        gsn_canvas_box(image, x, y + j, width, 1,
-                       gsn_colour_of(map, 1.0 - (j + 0.5) / (double)height));
-    draw_frame(image, x, y, width, height, ink);
-    for (int k = 0; (first + k) * step <= high + 1e-9 * step; k++) {
-        /* + 0.0 makes a zero of a minus zero. */
-        const double value = (first + k) * step + 0.0;
-        const int at = y + (int)((height - 1) * (high - value) / (high - low) + 0.5);
-        char text[32];
-
-        write_number(text, sizeof text, value, step);
-        gsn_canvas_box(image, x + width + 1, at, 3, 1, ink);
-        gsn_canvas_text(image, x + width + 7, at - 3, 1, text, ink);
-    }
-    if (unit)
-        gsn_canvas_text(image, x, y - 2 * GSN_CANVAS_CELL_HEIGHT, 1, unit, ink);
+    *ret_px = (int)(um / um_per_px + 0.5);
+    if (um >= 1000.0)
+        (void)snprintf(label, 32, "%g mm", um / 1000.0);
+    else
+        (void)snprintf(label, 32, "%g \xc2\xb5m", um);
 }
 
-/* --- the sheet a picture is mounted on --- */
-
-static const struct gsn_colour paper = { 255, 255, 255 };
-static const struct gsn_colour ink = { 40, 40, 46 };
-static const struct gsn_colour faint = { 200, 200, 204 };
-
-enum {
-    MARGIN = 12,
-    TITLE = 22,       /* height of the title line */
-    FOOT = 34,        /* height of the line with scale bar and note */
-    BAR = 14,         /* width of the colour scale */
-    LEAST_WIDTH = 96, /* pictures narrower than this still carry their letters */
+/* The numbers beside a colour scale: multiples of a round step, no nearer than their letters. */
+struct ticks {
+    double step, first;
+    int count;
 };
 
-static int larger_of(int a, int b)
+static struct ticks place_ticks(double low, double high, int height, int line)
 {
-    return a > b ? a : b;
+    const double step = round_step((high - low) / fmax(1.0, fmin(6.0, height / (1.2 * line))));
+    const double first = ceil(low / step - 1e-9);
+
+    return (struct ticks){ step, first, (int)(floor(high / step + 1e-9) - first) + 1 };
+}
+
+/* + 0.0 makes a zero of a minus zero. */
+static double tick_value(const struct ticks *ticks, int k, char label[32])
+{
+    const double value = (ticks->first + k) * ticks->step + 0.0;
+
+    write_number(label, 32, value, ticks->step);
+    return value;
+}
+
+/* Where everything on a sheet lies; see gsn_plate_new(). */
+struct layout {
+    int line, x, y, width, height; /* of a line of letters; of the picture */
+    int bar_x, bar_y, bar_height;
+    struct ticks ticks;
+    int scale_px; /* 0: no scale bar */
+    char scale_label[32];
+    int note_x, foot_y, sheet_width, sheet_height;
+};
+
+/* To the right of the colour scale, and of what stands above it. */
+static int measure_scale(struct gsn_lettering *letters, const struct gsn_plate *plate,
+                         const struct ticks *ticks)
+{
+    int most = 0;
+
+    for (int k = 0; k < ticks->count; k++) {
+        char label[32];
+
+        (void)tick_value(ticks, k, label);
+        most = larger_of(most, gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px, label));
+    }
+    most += BAR + TICK + GAP;
+    return plate->unit ? larger_of(most, gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px,
+                                                             plate->unit))
+                       : most;
+}
+
+static void lay_out(struct gsn_lettering *letters, const struct gsn_plate *plate, struct layout *at)
+{
+    const int has_bar = plate->um_per_px > 0.0;
+    const int title = gsn_lettering_height(letters, GSN_FACE_BOLD, title_px);
+    int body = at->width, head = 0, foot = 0;
+
+    at->line = gsn_lettering_height(letters, GSN_FACE_PLAIN, label_px);
+    at->x = MARGIN;
+    at->y = MARGIN;
+    if (plate->title) {
+        head = gsn_lettering_width(letters, GSN_FACE_BOLD, title_px, plate->title);
+        at->y += title + GAP;
+    }
+    if (plate->has_scale) {
+        at->bar_x = at->x + at->width + MARGIN;
+        at->bar_y = at->y + (plate->unit ? at->line + 2 * GAP : at->line / 2);
+        at->bar_height = larger_of(3 * at->line, at->y + at->height - at->line / 2 - at->bar_y);
+        at->ticks = place_ticks(plate->low, plate->high, at->bar_height, at->line);
+        body += MARGIN + measure_scale(letters, plate, &at->ticks);
+        at->sheet_height = at->bar_y + at->bar_height + at->line / 2;
+    }
+    if (has_bar) {
+        measure_scale_bar(plate->um_per_px, larger_of(at->width / 4, 40), &at->scale_px,
+                          at->scale_label);
+        foot = larger_of(at->scale_px,
+                         gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px, at->scale_label));
+    }
+    if (plate->note) {
+        const int note = gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px, plate->note);
+
+        /* The scale bar, a gap and the note side by side, the note to the right if there is room.
+         */
+        foot += note + (has_bar ? 2 * MARGIN : 0);
+        at->note_x = at->x + larger_of(at->width, foot) - note;
+    }
+    at->sheet_height = larger_of(at->sheet_height, at->y + at->height);
+    at->foot_y = at->sheet_height + 2 * GAP;
+    if (has_bar || plate->note)
+        at->sheet_height = at->foot_y + at->line + (has_bar ? GAP : 0);
+    at->sheet_height += MARGIN;
+    at->sheet_width = larger_of(larger_of(body, larger_of(head, foot)), LEAST_WIDTH) + 2 * MARGIN;
+}
+
+static int letter(struct gsn_lettering *letters, struct gsn_image *sheet, int x, int y,
+                  const char *text, struct gsn_error *err)
+{
+    return gsn_lettering_draw(letters, sheet, x, y, GSN_FACE_PLAIN, label_px, text, ink, err);
+}
+
+static int draw_scale(struct gsn_lettering *letters, struct gsn_image *sheet,
+                      const struct gsn_plate *plate, const struct layout *at, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (int j = 0; j < at->bar_height; j++)
+        gsn_canvas_box(sheet, at->bar_x, at->bar_y + j, BAR, 1,
+                       gsn_colour_of(plate->map, 1.0 - (j + 0.5) / (double)at->bar_height));
+    draw_frame(sheet, at->bar_x, at->bar_y, BAR, at->bar_height, ink);
+    for (int k = 0; r >= 0 && k < at->ticks.count; k++) {
+        char label[32];
+        const double value = tick_value(&at->ticks, k, label);
+        const int y =
+            at->bar_y +
+            (int)((at->bar_height - 1) * (plate->high - value) / (plate->high - plate->low) + 0.5);
+
+        gsn_canvas_box(sheet, at->bar_x + BAR + 1, y, TICK, 1, ink);
+        r = letter(letters, sheet, at->bar_x + BAR + TICK + GAP, y - at->line / 2, label, err);
+    }
+    if (r >= 0 && plate->unit)
+        r = letter(letters, sheet, at->bar_x, at->y, plate->unit, err);
+    return r;
 }
 
 int gsn_plate_new(const struct gsn_plate *plate, uint32_t width, uint32_t height,
                   struct gsn_image **ret_sheet, int *ret_x, int *ret_y, struct gsn_error *err)
 {
-    const int w = (int)width, h = (int)height, x = MARGIN, y = plate->title ? TITLE + 4 : MARGIN;
-    const int bar_px = plate->um_per_px > 0.0 ? larger_of(w / 4, 40) : 0;
-    const int bar_top = y + (plate->unit ? 2 * GSN_CANVAS_CELL_HEIGHT : 4);
-    const int note_width = plate->note ? gsn_canvas_text_width(plate->note, 1) : 0;
-    const int title_width = plate->title ? gsn_canvas_text_width(plate->title, 1) : 0;
-    const int body = w + (plate->has_scale ? MARGIN + BAR + GSN_CANVAS_SCALE_ROOM : 0);
-    /* The foot needs the scale bar, a gap and the note side by side. */
-    const int text = larger_of(title_width, bar_px + (bar_px ? MARGIN : 0) + note_width);
-    const int full = larger_of(larger_of(body, text), LEAST_WIDTH) + 2 * MARGIN;
-    const int foot = plate->note || bar_px ? FOOT : MARGIN;
+    struct layout at = { .width = (int)width, .height = (int)height };
+    gsn_auto(gsn_lettering) letters = NULL;
     gsn_auto(gsn_image) sheet = NULL;
-    const int r = gsn_canvas_new((uint32_t)full, (uint32_t)(y + h + foot), paper, &sheet, err);
+    int r = gsn_lettering_new(GSN_FONT_FOLDER, &letters, err);
 
     if (r < 0)
         return r;
+    lay_out(letters, plate, &at);
+    r = gsn_canvas_new((uint32_t)at.sheet_width, (uint32_t)at.sheet_height, paper, &sheet, err);
+    if (r < 0)
+        return r;
+    draw_frame(sheet, at.x, at.y, at.width, at.height, faint);
     if (plate->title)
-        gsn_canvas_text(sheet, x, 9, 1, plate->title, ink);
-    draw_frame(sheet, x, y, w, h, faint);
-    if (plate->has_scale)
-        gsn_canvas_colour_bar(sheet, x + w + MARGIN, bar_top, BAR,
-                              larger_of(40, y + h - bar_top - 4), plate->map, plate->low,
-                              plate->high, plate->unit, ink);
-    if (bar_px > 0)
-        gsn_canvas_scale_bar(sheet, x, y + h + FOOT - 8, plate->um_per_px, bar_px, ink);
-    if (plate->note)
-        gsn_canvas_text(sheet, x + larger_of(w, text) - note_width, y + h + 12, 1, plate->note,
-                        ink);
+        r = gsn_lettering_draw(letters, sheet, at.x, MARGIN, GSN_FACE_BOLD, title_px, plate->title,
+                               ink, err);
+    if (r >= 0 && plate->has_scale)
+        r = draw_scale(letters, sheet, plate, &at, err);
+    if (r >= 0 && at.scale_px) {
+        r = letter(letters, sheet, at.x, at.foot_y, at.scale_label, err);
+        gsn_canvas_box(sheet, at.x, at.foot_y + at.line + 1, at.scale_px, 3, ink);
+    }
+    if (r >= 0 && plate->note)
+        r = letter(letters, sheet, at.note_x, at.foot_y, plate->note, err);
+    if (r < 0)
+        return r;
     *ret_sheet = gsn_steal(&sheet);
-    *ret_x = x;
-    *ret_y = y;
+    *ret_x = at.x;
+    *ret_y = at.y;
     return GSN_OK;
 }
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* A small canvas on RGB pictures of 8 bits: boxes, lines, text, scale bars and colour scales.
+/* A small canvas on RGB pictures of 8 bits: boxes, lines, colour maps, and lettered sheets.
  *
  * Every function takes a struct gsn_image with 3 channels and 8 bits (the caller guarantees it),
  * in pixels from the upper left corner; what falls outside is clipped. */
@@ -8,14 +8,11 @@
 #define GSN_RENDER_CANVAS_H
 
 #include "pipeline/core/image.h"
+#include "pipeline/render/lettering.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-struct gsn_colour {
-    uint8_t r, g, b;
-};
 
 /* Maps that rise evenly in lightness, so that they survive grey printing. */
 enum gsn_colour_map { GSN_MAP_VIRIDIS, GSN_MAP_GREY };
@@ -34,32 +31,19 @@ void gsn_canvas_box(struct gsn_image *image, int x, int y, int width, int height
                     struct gsn_colour colour);
 /* Diagonal hatching that says "no data", never to be taken for a value. */
 void gsn_canvas_no_data(struct gsn_image *image, int x, int y);
-/* Anti-aliased, round ends; coordinates have pixel centres at +0.5. */
-void gsn_canvas_line(struct gsn_image *image, double x0, double y0, double x1, double y1,
-                     double width, struct gsn_colour colour);
 /* Copies a picture of the same kind to (x, y). */
 void gsn_canvas_paste(struct gsn_image *image, const struct gsn_image *picture, int x, int y);
 
-/* Text in a fixed 5x7 face on a 6x10 cell, enlarged scale times (1, 2, ...); (x, y) is the upper
- * left corner of the first cell. Printable ASCII, and of UTF-8 the micro sign, the superscripts
- * 2 and 3, the degree and the multiplication sign; anything else is drawn as an empty box. */
-void gsn_canvas_text(struct gsn_image *image, int x, int y, int scale, const char *text,
-                     struct gsn_colour colour);
-int gsn_canvas_text_width(const char *text, int scale);
-enum { GSN_CANVAS_CELL_WIDTH = 6, GSN_CANVAS_CELL_HEIGHT = 10 };
-
-/* A bar of a round length (1, 2 or 5 times a power of ten) of at most most_px, labelled above it;
- * (x, y) is its lower left corner. */
-void gsn_canvas_scale_bar(struct gsn_image *image, int x, int y, double um_per_px, int most_px,
-                          struct gsn_colour colour);
-
-/* An upright colour scale of this box with round numbers to the right of it and the unit above;
- * low < high. It needs GSN_CANVAS_SCALE_ROOM pixels of width beside the bar, and two cells above.
- */
-void gsn_canvas_colour_bar(struct gsn_image *image, int x, int y, int width, int height,
-                           enum gsn_colour_map map, double low, double high, const char *unit,
-                           struct gsn_colour ink);
-enum { GSN_CANVAS_SCALE_ROOM = 62 };
+/* Anti-aliased lines with round ends; coordinates have pixel centres at +0.5. Lines are collected
+ * and drawn together, so that where they meet ink is laid once. A pen draws once.
+ * gives: a pen for pictures of this size. Both fail with GSN_E_NOMEM. */
+struct gsn_pen;
+int gsn_pen_new(const struct gsn_image *image, struct gsn_pen **ret_pen, struct gsn_error *err);
+void gsn_pen_free(struct gsn_pen *pen);
+GSN_DEFINE_AUTO(gsn_pen);
+void gsn_pen_line(struct gsn_pen *pen, double x0, double y0, double x1, double y1);
+int gsn_pen_ink(struct gsn_pen *pen, struct gsn_image *image, double width,
+                struct gsn_colour colour, struct gsn_error *err);
 
 /* The sheet a picture is mounted on: title above, colour scale to the right, scale bar and a note
  * below. */
@@ -74,7 +58,8 @@ struct gsn_plate {
 };
 
 /* gives: a white sheet for a picture of this size; the picture's upper left corner goes to
- * (*ret_x, *ret_y) and is framed already. Fails with GSN_E_NOMEM. */
+ * (*ret_x, *ret_y) and is framed already. low < high where has_scale. Fails with GSN_E_NOMEM, and
+ * with GSN_E_NOTFOUND where the fonts are missing (lettering.h). */
 int gsn_plate_new(const struct gsn_plate *plate, uint32_t width, uint32_t height,
                   struct gsn_image **ret_sheet, int *ret_x, int *ret_y, struct gsn_error *err);
 

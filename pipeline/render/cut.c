@@ -241,23 +241,27 @@ void gsn_cut_range(const struct gsn_grid *grid, const struct gsn_mask *region, d
     *ret_high = low < high ? high : low + fmax(1, fabs(low));
 }
 
-/* A line on every pixel edge at which the region ends. */
-static void draw_outline(struct gsn_image *sheet, int x0, int y0, const struct gsn_cut_frame *frame,
-                         const struct gsn_mask *region)
+/* A line on every pixel edge at which the region ends, as wide as the pixels on both sides. */
+static int draw_outline(struct gsn_image *sheet, int x0, int y0, const struct gsn_cut_frame *frame,
+                        const struct gsn_mask *region, struct gsn_error *err)
 {
+    gsn_auto(gsn_pen) pen = NULL;
+    const int r = gsn_pen_new(sheet, &pen, err);
+
+    if (r < 0)
+        return r;
     for (int j = 0; j < (int)frame->height; j++) {
         for (int i = 0; i < (int)frame->width; i++) {
             const size_t x = (size_t)i, y = (size_t)j;
             const int here = gsn_mask_has(region, gsn_cut_pixel(frame, x, y));
 
             if (here != gsn_mask_has(region, gsn_cut_pixel(frame, x + 1, y)))
-                gsn_canvas_line(sheet, x0 + i + 1, y0 + j, x0 + i + 1, y0 + j + 1, 1.2,
-                                outline_colour);
+                gsn_pen_line(pen, x0 + i + 1, y0 + j, x0 + i + 1, y0 + j + 1);
             if (here != gsn_mask_has(region, gsn_cut_pixel(frame, x, y + 1)))
-                gsn_canvas_line(sheet, x0 + i, y0 + j + 1, x0 + i + 1, y0 + j + 1, 1.2,
-                                outline_colour);
+                gsn_pen_line(pen, x0 + i, y0 + j + 1, x0 + i + 1, y0 + j + 1);
         }
     }
+    return gsn_pen_ink(pen, sheet, 2.0, outline_colour, err);
 }
 
 enum { NOTE = 64 };
@@ -295,7 +299,9 @@ int gsn_cut_paint(const struct gsn_plane *plane, const struct gsn_cut_frame *fra
         return r;
     gsn_plate_fill(sheet, x, y, plane, plate.map, plate.low, plate.high);
     if (region)
-        draw_outline(sheet, x, y, frame, region);
+        r = draw_outline(sheet, x, y, frame, region, err);
+    if (r < 0)
+        return r;
     *ret_image = gsn_steal(&sheet);
     return GSN_OK;
 }
@@ -337,7 +343,9 @@ int gsn_cut_colour(const struct gsn_colour_grid *grid, const struct gsn_cut_fram
                 gsn_canvas_no_data(sheet, x0 + (int)i, y0 + (int)j);
         }
     if (region)
-        draw_outline(sheet, x0, y0, frame, region);
+        r = draw_outline(sheet, x0, y0, frame, region, err);
+    if (r < 0)
+        return r;
     *ret_image = gsn_steal(&sheet);
     return GSN_OK;
 }

@@ -238,10 +238,15 @@ static void turn_around(const struct gsn_tets *mesh, size_t tet, int opposite, u
     }
 }
 
-/* The domain's boundary edges at which it bends; each is met from both of its faces and drawn by
- * each, which the faint colour allows for. */
-static void draw_outline(const struct painting *painting, const struct gsn_tets *mesh)
+/* The domain's boundary edges at which it bends; each is met from both of its faces. */
+static int draw_outline(const struct painting *painting, const struct gsn_tets *mesh,
+                        struct gsn_error *err)
 {
+    gsn_auto(gsn_pen) pen = NULL;
+    const int r = gsn_pen_new(painting->sheet, &pen, err);
+
+    if (r < 0)
+        return r;
     for (size_t t = 0; t < mesh->tet_count; t++) {
         for (int k = 0; k < 4; k++) {
             double here[3], there[3];
@@ -259,11 +264,12 @@ static void draw_outline(const struct painting *painting, const struct gsn_tets 
                     continue;
                 gsn_camera_project(painting->camera, mesh->vertex[u], a, &depth);
                 gsn_camera_project(painting->camera, mesh->vertex[v], b, &depth);
-                gsn_canvas_line(painting->sheet, painting->x + a[0], painting->y + a[1],
-                                painting->x + b[0], painting->y + b[1], 0.35, edge_colour);
+                gsn_pen_line(pen, painting->x + a[0], painting->y + a[1], painting->x + b[0],
+                             painting->y + b[1]);
             }
         }
     }
+    return gsn_pen_ink(pen, painting->sheet, 0.7, edge_colour, err);
 }
 
 int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *mesh,
@@ -301,7 +307,9 @@ int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *
     gsn_canvas_box(sheet, painting.x, painting.y, (int)camera.width, (int)camera.height,
                    background);
     if (style->outline)
-        draw_outline(&painting, mesh);
+        r = draw_outline(&painting, mesh, err);
+    if (r < 0)
+        return r;
     r = gsn_parallel_for((camera.height + BAND - 1) / BAND, threads, paint_band, &painting, err);
     if (r < 0)
         return r;

@@ -52,16 +52,15 @@ static struct gsn_colour box_mean(const struct gsn_image *image, enum gsn_light 
                                 .b = code_of(light, (double)sum[2] / full_count) };
 }
 
-static void draw_ring(struct gsn_image *image, double x, double y, double radius)
+static void add_ring(struct gsn_pen *pen, double x, double y, double radius)
 {
-    static const struct gsn_colour ink = { .r = 0, .g = 110, .b = 230 };
     enum { SIDES = 20 };
 
     for (int i = 0; i < SIDES; i++) {
         const double a = 2 * M_PI * i / SIDES, b = 2 * M_PI * (i + 1) / SIDES;
 
-        gsn_canvas_line(image, x + radius * cos(a), y + radius * sin(a), x + radius * cos(b),
-                        y + radius * sin(b), 1.4, ink);
+        gsn_pen_line(pen, x + radius * cos(a), y + radius * sin(a), x + radius * cos(b),
+                     y + radius * sin(b));
     }
 }
 
@@ -70,13 +69,17 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
                   int quality, struct gsn_png_picture *ret_picture, struct gsn_error *err)
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
+    static const struct gsn_colour ring = { .r = 0, .g = 110, .b = 230 };
     const int longest = width > height ? width : height;
     const double scale = longest > (int)longest_px ? (double)longest_px / longest : 1;
     const uint32_t w = (uint32_t)fmax(1, floor(width * scale));
     const uint32_t h = (uint32_t)fmax(1, floor(height * scale));
     gsn_auto(gsn_image) small = NULL;
+    gsn_auto(gsn_pen) pen = NULL;
     int r = gsn_canvas_new(w, h, white, &small, err);
 
+    if (r >= 0)
+        r = gsn_pen_new(small, &pen, err);
     if (r < 0)
         return r;
     for (uint32_t v = 0; v < h; v++)
@@ -88,8 +91,11 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
                                     y + (int)((v + 1) * (uint32_t)height / h)));
     for (size_t i = 0; i < GSN_FIDUCIALS; i++)
         if (mark[i].found)
-            draw_ring(small, (mark[i].px.x - x) * scale, (mark[i].px.y - y) * scale,
-                      fmax(4, 2.2 * mark[i].radius_px * scale));
+            add_ring(pen, (mark[i].px.x - x) * scale, (mark[i].px.y - y) * scale,
+                     fmax(4, 2.2 * mark[i].radius_px * scale));
+    r = gsn_pen_ink(pen, small, 1.4, ring, err);
+    if (r < 0)
+        return r;
     ret_picture->width = small->width;
     ret_picture->height = small->height;
     return quality ? gsn_jpeg_encode(small, quality, &ret_picture->png, &ret_picture->size, err)

@@ -29,6 +29,7 @@
 #include "pipeline/core/linalg.h"
 #include "pipeline/decode/volume.h"
 #include "pipeline/imaging/imaging.h"
+#include "pipeline/render/lettering.h"
 #include "storage/catalog.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
@@ -243,8 +244,8 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
     json_t *root =
         json_pack("{s:s, s:s, s:s, s:s, s:{s:o, s:o, s:f, s:o, s:o}}", "definition",
                   result->definition, "dyes", result->dyes, "region", result->region, "own_key",
-                  own_key, "colours", "region_od",
-                  numbers_of(c->region_od, 3), "free_od", numbers_of(c->free_od, 3), "free_panels", c->free_panels, "yellow",
+                  own_key, "colours", "region_od", numbers_of(c->region_od, 3), "free_od",
+                  numbers_of(c->free_od, 3), "free_panels", c->free_panels, "yellow",
                   numbers_of(c->yellow, GSN_CONTROL_TISSUES), "panels", panels_of(c->cloud));
     char *dumped = json_dumps(root, JSON_COMPACT);
     char *text = dumped ? gsn_strdup(dumped) : NULL;
@@ -254,8 +255,8 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
     return text;
 }
 
-/* A text of a run's parameters ("definition", "dyes", "region", "own_key"), or "" where an older version
- * wrote none. gives; NULL: out of memory. */
+/* A text of a run's parameters ("definition", "dyes", "region", "own_key"), or "" where an older
+ * version wrote none. gives; NULL: out of memory. */
 static char *read_parameter(const struct gsn_run_row *run, const char *name)
 {
     json_t *root = json_loads(run->parameters_json, 0, NULL);
@@ -802,9 +803,10 @@ static int make_keys(struct gsn_job_inputs *m, struct gsn_error *err)
     add_decisions(m, root);
     (void)json_object_set_new(root, "version", json_string(GSN_VERSION));
     /* Another version of these may change a pixel or a figure. */
-    (void)json_object_set_new(
-        root, "libraries",
-        json_pack("{s:s, s:s}", "opencv", gsn_imaging_version(), "gsl", gsn_linalg_version()));
+    (void)json_object_set_new(root, "libraries",
+                              json_pack("{s:s, s:s, s:s, s:s}", "opencv", gsn_imaging_version(),
+                                        "gsl", gsn_linalg_version(), "cairo", gsn_lettering_cairo(),
+                                        "pango", gsn_lettering_pango()));
     r = hash_text(root, NULL, &m->own_key, err);
     (void)json_object_set(root, "baseline", m->baseline_keys);
     if (r >= 0)

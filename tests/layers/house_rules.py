@@ -47,6 +47,7 @@ FOREIGN = {
     r"zbar\.h": r"^pipeline/decode/codes\.c$",
     r"gsl/.*": r"^pipeline/core/(linalg|robust|distributions|gsl_door)\.c$",
     r"tetgen\.h": r"^pipeline/model/tetgen_bridge\.cpp$",
+    r"(cairo|pango|fontconfig)/.*": r"^pipeline/render/",
     r"hdf5\.h": r"^pipeline/model/model_file\.c$",
     r"(tiffio|jpeglib|png)\.h": r"^pipeline/(decode|export|phantom)/",
     r"(zlib|openslide/.*|lcms2)\.h": r"^pipeline/(decode|export)/",

@@ -199,7 +199,7 @@ TEST(true_colours_are_shown_voxel_by_voxel_and_a_missing_section_is_hatched)
 
             seen += gsn_image_at(image, x, y, 0) == 201 && gsn_image_at(image, x, y, 1) == 17 &&
                     b >= 40 && b < 56;
-            same += gsn_image_at(gap, x, y, 0) == 201;
+            same += gsn_image_at(gap, x, y, 0) == 201 && gsn_image_at(gap, x, y, 1) == 17;
         }
     CHECK(seen == 16 && same == 0);
 }

@@ -21,12 +21,12 @@ GUEST = pathlib.Path(__file__).resolve().parent / "guest"
 # In the root with everything they depend on; and alone.
 PACKAGES = ("systemd udev kmod dbus dash bash coreutils util-linux mount sed grep findutils "
             "procps libusb-1.0-0 dpkg tar gzip base-files").split()
-ALONE = ("libcamera-ipa",)
+ALONE = ("libcamera-ipa", "fonts-dejavu-core")
 PROGRAMS = ("sqlite3", "v4l2-ctl", "cam", "umtprd")
 # What may be loaded in the guest; modprobe knows what those need in turn.
 MODULES = ("virtio_pci virtio_blk ext4 autofs4 xhci_pci xhci_hcd uvcvideo vivid dummy_hcd libcomposite usb_f_fs "
            "usb_storage sd_mod vfat nls_ascii nls_cp437 rtc_cmos").split()
-NOT_IN = re.compile(r"^/usr/share/(doc|man|locale|info|lintian|i18n|zoneinfo|perl|X11|fonts|bash-completion)/"
+NOT_IN = re.compile(r"^/usr/share/(doc|man|locale|info|lintian|i18n|zoneinfo|perl|X11|bash-completion)/"
                     r"|/gconv/|^/usr/lib/udev/hwdb\.d/|^/lib/udev/hwdb\.d/|^/usr/lib/python|^/usr/include/|\.a$"
                     # of the units that are made at a boot, those of fstab are needed
                     r"|/system-generators/(?!systemd-fstab-)")

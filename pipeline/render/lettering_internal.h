@@ -1,0 +1,20 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What pipeline/render itself asks of cairo and pango. */
+#ifndef GSN_RENDER_LETTERING_INTERNAL_H
+#define GSN_RENDER_LETTERING_INTERNAL_H
+
+#include "pipeline/render/lettering.h"
+
+#include <pango/pangocairo.h>
+
+/* gives (g_object_unref): the text laid out in this face, with characters that it lacks named. */
+PangoLayout *gsn_lettering_layout(struct gsn_lettering *lettering, enum gsn_face face, double px,
+                                  const char *text);
+
+/* Mixes the colour into the picture by the weights of an A8 surface whose upper left corner lies at
+ * (x, y). Fails with GSN_E_NOMEM when cairo ran out of memory on the way. */
+int gsn_lettering_ink(struct gsn_image *image, int x, int y, cairo_surface_t *weights,
+                      struct gsn_colour colour, struct gsn_error *err);
+
+#endif

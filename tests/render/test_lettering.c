@@ -1,0 +1,186 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+#include "pipeline/render/lettering.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "pipeline/core/parallel.h"
+#include "pipeline/render/canvas.h"
+#include "tests/check.h"
+
+static const struct gsn_colour white = { 255, 255, 255 }, black = { 0, 0, 0 };
+
+static struct gsn_lettering *open_letters(void)
+{
+    struct gsn_lettering *letters = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_lettering_new(GSN_FONT_FOLDER, &letters, &err), err);
+    return letters;
+}
+
+enum { WIDE = 900, HIGH = 120, LEFT = 30, TOP = 30 };
+
+static struct gsn_image *write_out(struct gsn_lettering *letters, enum gsn_face face, double px,
+                                   const char *text)
+{
+    struct gsn_image *image = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_canvas_new(WIDE, HIGH, white, &image, &err), err);
+    CHECK_OK(gsn_lettering_draw(letters, image, LEFT, TOP, face, px, text, black, &err), err);
+    return image;
+}
+
+/* Whether two texts have the same pixels. */
+static int look_alike(struct gsn_lettering *letters, const char *a, const char *b)
+{
+    gsn_auto(gsn_image) one = write_out(letters, GSN_FACE_PLAIN, 12.0, a);
+    gsn_auto(gsn_image) other = write_out(letters, GSN_FACE_PLAIN, 12.0, b);
+
+    return memcmp(one->samples, other->samples, gsn_image_bytes(one)) == 0;
+}
+
+TEST(ink_lies_in_the_box_that_was_measured)
+{
+    static const char *const said[4] = { "data", "z = 1250 \xc2\xb5m  (x right, y down)", "Qgjpqy|",
+                                         "\xc3\x84\xc3\x89 mm\xc2\xb3" };
+    gsn_auto(gsn_lettering) letters = open_letters();
+
+    for (int i = 0; i < 4 * 3 * 2; i++) {
+        const enum gsn_face face = i / 12 ? GSN_FACE_BOLD : GSN_FACE_PLAIN;
+        const double px = 9.0 + 8.0 * (i / 4 % 3);
+        gsn_auto(gsn_image) image = write_out(letters, face, px, said[i % 4]);
+        const int width = gsn_lettering_width(letters, face, px, said[i % 4]);
+        const int height = gsn_lettering_height(letters, face, px);
+        int last = 0;
+
+        for (int y = 0; y < HIGH; y++) {
+            for (int x = 0; x < WIDE; x++) {
+                if (gsn_image_at(image, (uint32_t)x, (uint32_t)y, 0) == 255)
+                    continue;
+                /* Hinting may move an edge by a pixel. */
+                CHECK(x >= LEFT - 1 && x <= LEFT + width && y >= TOP - 1 && y <= TOP + height);
+                last = x > last ? x : last;
+            }
+        }
+        /* And fills it: no letter is wider than a third of the whole. */
+        CHECK(last > LEFT + width - (int)px / 2);
+    }
+}
+
+TEST(letters_are_as_wide_as_the_font_says)
+{
+    gsn_auto(gsn_lettering) letters = open_letters();
+
+    /* Advances of DejaVu Sans, of 2048 units an em; each is rounded to a pixel. */
+    CHECK(gsn_lettering_width(letters, GSN_FACE_PLAIN, 64.0, "0000000000") == 410); /* 1303 */
+    CHECK(gsn_lettering_width(letters, GSN_FACE_PLAIN, 64.0, "mmmm") == 248);       /* 1995 */
+    CHECK(gsn_lettering_width(letters, GSN_FACE_BOLD, 64.0, "0000000000") == 450);  /* 1425 */
+    CHECK(gsn_lettering_width(letters, GSN_FACE_PLAIN, 12.0, "") == 0);
+}
+
+TEST(every_printable_character_has_a_face_of_its_own)
+{
+    gsn_auto(gsn_lettering) letters = open_letters();
+    struct gsn_image *cell[95];
+
+    for (int c = 0; c < 95; c++) {
+        const char text[2] = { (char)(c + 32), '\0' };
+
+        cell[c] = write_out(letters, GSN_FACE_PLAIN, 12.0, text);
+        for (int other = 0; other < c; other++)
+            CHECK(memcmp(cell[c]->samples, cell[other]->samples, gsn_image_bytes(cell[c])) != 0);
+    }
+    for (int c = 0; c < 95; c++)
+        gsn_image_free(cell[c]);
+}
+
+TEST(characters_beyond_ascii_are_not_dropped)
+{
+    static const char *const said[9] = { "",         "\xc2\xb5", "\xc2\xb2", "\xc2\xb3", "\xc2\xb0",
+                                         "\xc3\x97", "\xc3\xa4", "\xce\xbb", "\xd0\x96" };
+    gsn_auto(gsn_lettering) letters = open_letters();
+
+    for (int i = 0; i < 9; i++) {
+        for (int j = 0; j < i; j++)
+            CHECK(!look_alike(letters, said[i], said[j]));
+    }
+}
+
+TEST(a_character_that_the_font_lacks_is_named)
+{
+    gsn_auto(gsn_lettering) letters = open_letters();
+
+    CHECK(look_alike(letters, "a\xe4\xb8\xad", "a[U+4E2D]"));
+    CHECK(look_alike(letters, "\xf0\x9f\x94\xac", "[U+1F52C]"));
+    /* What would turn the line around or break it does neither. */
+    CHECK(look_alike(letters,
+                     "a\xe2\x80\xae"
+                     "bc",
+                     "a[U+202E]bc"));
+    CHECK(look_alike(letters, "a\nb", "a[U+000A]b"));
+    /* Cut off in the middle of a character. */
+    CHECK(look_alike(letters, "a\xc2", "a\xef\xbf\xbd"));
+}
+
+TEST(without_the_font_the_package_is_named_and_nothing_is_given)
+{
+    char folder[] = "/tmp/gsn_lettering_XXXXXX", path[64];
+    struct gsn_lettering *letters = NULL;
+    struct gsn_error err = { 0 };
+    FILE *file;
+
+    CHECK(gsn_lettering_new("/nowhere", &letters, &err) == GSN_E_NOTFOUND);
+    CHECK(strstr(err.text, "/nowhere/DejaVuSans.ttf") && strstr(err.text, "fonts-dejavu-core"));
+    CHECK(letters == NULL);
+    CHECK(mkdtemp(folder) != NULL);
+    (void)snprintf(path, sizeof path, "%s/DejaVuSans.ttf", folder);
+    file = fopen(path, "w");
+    CHECK(file && fputs("no font", file) >= 0 && fclose(file) == 0);
+    CHECK(gsn_lettering_new(folder, &letters, &err) == GSN_E_NOTFOUND);
+    CHECK(letters == NULL);
+    CHECK(unlink(path) == 0 && rmdir(folder) == 0);
+}
+
+static int draw_one(size_t index, void *context, struct gsn_error *err)
+{
+    const struct gsn_plate plate = { .title = index % 2 ? "X-ray" : "data, z = 3",
+                                     .note = "integral along the line of view",
+                                     .um_per_px = 3.0 + (double)index };
+    struct gsn_image **image = context;
+    int x, y;
+
+    return gsn_plate_new(&plate, 90, 60, &image[index], &x, &y, err);
+}
+
+TEST(sheets_have_the_same_bytes_on_any_number_of_threads)
+{
+    struct gsn_image *alone[16] = { NULL }, *together[16] = { NULL };
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_parallel_for(16, 1, draw_one, alone, &err), err);
+    CHECK_OK(gsn_parallel_for(16, 4, draw_one, together, &err), err);
+    for (int i = 0; i < 16; i++) {
+        CHECK(alone[i]->width == together[i]->width && alone[i]->height == together[i]->height);
+        CHECK(memcmp(alone[i]->samples, together[i]->samples, gsn_image_bytes(alone[i])) == 0);
+        gsn_image_free(alone[i]);
+        gsn_image_free(together[i]);
+    }
+}
+
+static int open_once(struct gsn_error *err)
+{
+    gsn_auto(gsn_lettering) letters = NULL;
+
+    return gsn_lettering_new(GSN_FONT_FOLDER, &letters, err);
+}
+
+TEST(running_out_of_memory_leaks_nothing)
+{
+    struct gsn_error err = { 0 };
+
+    CHECK_EVERY_OOM(open_once(&err), err);
+}

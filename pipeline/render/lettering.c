@@ -38,13 +38,13 @@ static int add_font(FcConfig *fonts, const char *folder, const char *name, struc
     return GSN_OK;
 }
 
-static void set_edges(PangoContext *context)
+static void set_edges(PangoContext *context, cairo_hint_style_t hints, cairo_hint_metrics_t metrics)
 {
     cairo_font_options_t *edges = cairo_font_options_create();
 
     cairo_font_options_set_antialias(edges, CAIRO_ANTIALIAS_GRAY);
-    cairo_font_options_set_hint_style(edges, CAIRO_HINT_STYLE_SLIGHT);
-    cairo_font_options_set_hint_metrics(edges, CAIRO_HINT_METRICS_ON);
+    cairo_font_options_set_hint_style(edges, hints);
+    cairo_font_options_set_hint_metrics(edges, metrics);
     pango_cairo_context_set_font_options(context, edges);
     cairo_font_options_destroy(edges);
 }
@@ -68,7 +68,7 @@ int gsn_lettering_new(const char *folder, struct gsn_lettering **ret_lettering,
         lettering->map = pango_cairo_font_map_new_for_font_type(CAIRO_FONT_TYPE_FT);
         pango_fc_font_map_set_config(PANGO_FC_FONT_MAP(lettering->map), fonts);
         lettering->context = pango_font_map_create_context(lettering->map);
-        set_edges(lettering->context);
+        set_edges(lettering->context, CAIRO_HINT_STYLE_SLIGHT, CAIRO_HINT_METRICS_ON);
         *ret_lettering = gsn_steal(&lettering);
     }
     FcConfigDestroy(fonts);
@@ -84,6 +84,12 @@ void gsn_lettering_free(struct gsn_lettering *lettering)
     gsn_free(lettering);
 }
 
+void gsn_lettering_for_paper(struct gsn_lettering *lettering)
+{
+    set_edges(lettering->context, CAIRO_HINT_STYLE_NONE, CAIRO_HINT_METRICS_OFF);
+    pango_context_set_round_glyph_positions(lettering->context, FALSE);
+}
+
 static PangoFontDescription *describe_face(enum gsn_face face, double px)
 {
     PangoFontDescription *said = pango_font_description_from_string(
@@ -94,7 +100,7 @@ static PangoFontDescription *describe_face(enum gsn_face face, double px)
 }
 
 /* The text as the face can show it; what steers the direction of writing is named too. */
-static GString *name_missing(PangoFont *font, const char *text)
+static GString *name_missing(PangoFont *font, const char *text, int lines)
 {
     char *valid = g_utf8_make_valid(text, -1);
     GString *shown = g_string_new(NULL);
@@ -102,8 +108,10 @@ static GString *name_missing(PangoFont *font, const char *text)
     for (const char *c = valid; *c; c = g_utf8_next_char(c)) {
         const gunichar code = g_utf8_get_char(c);
 
-        if (g_unichar_iscntrl(code) || g_unichar_type(code) == G_UNICODE_FORMAT ||
-            !pango_font_has_char(font, code))
+        if (lines && code == '\n')
+            g_string_append_c(shown, '\n');
+        else if (g_unichar_iscntrl(code) || g_unichar_type(code) == G_UNICODE_FORMAT ||
+                 !pango_font_has_char(font, code))
             g_string_append_printf(shown, "[U+%04X]", code);
         else
             g_string_append_unichar(shown, code);
@@ -113,14 +121,17 @@ static GString *name_missing(PangoFont *font, const char *text)
 }
 
 PangoLayout *gsn_lettering_layout(struct gsn_lettering *lettering, enum gsn_face face, double px,
-                                  const char *text)
+                                  const char *text, double width)
 {
     PangoFontDescription *said = describe_face(face, px);
     PangoFont *font = pango_context_load_font(lettering->context, said);
     PangoLayout *layout = pango_layout_new(lettering->context);
-    GString *shown = name_missing(font, text);
+    GString *shown = name_missing(font, text, width > 0);
 
     pango_layout_set_font_description(layout, said);
+    if (width > 0)
+        pango_layout_set_width(layout, (int)(width * PANGO_SCALE));
+    pango_layout_set_wrap(layout, PANGO_WRAP_WORD_CHAR);
     pango_layout_set_text(layout, shown->str, (int)shown->len);
     g_string_free(shown, TRUE);
     g_object_unref(font);
@@ -131,7 +142,7 @@ PangoLayout *gsn_lettering_layout(struct gsn_lettering *lettering, enum gsn_face
 int gsn_lettering_width(struct gsn_lettering *lettering, enum gsn_face face, double px,
                         const char *text)
 {
-    PangoLayout *layout = gsn_lettering_layout(lettering, face, px, text);
+    PangoLayout *layout = gsn_lettering_layout(lettering, face, px, text, 0);
     int width;
 
     pango_layout_get_size(layout, &width, NULL);
@@ -141,7 +152,7 @@ int gsn_lettering_width(struct gsn_lettering *lettering, enum gsn_face face, dou
 
 int gsn_lettering_height(struct gsn_lettering *lettering, enum gsn_face face, double px)
 {
-    PangoLayout *layout = gsn_lettering_layout(lettering, face, px, "");
+    PangoLayout *layout = gsn_lettering_layout(lettering, face, px, "", 0);
     int height;
 
     pango_layout_get_size(layout, NULL, &height);
@@ -173,7 +184,7 @@ int gsn_lettering_draw(struct gsn_lettering *lettering, struct gsn_image *image,
                        enum gsn_face face, double px, const char *text, struct gsn_colour colour,
                        struct gsn_error *err)
 {
-    PangoLayout *layout = gsn_lettering_layout(lettering, face, px, text);
+    PangoLayout *layout = gsn_lettering_layout(lettering, face, px, text, 0);
     PangoRectangle ink, line;
     cairo_surface_t *weights;
     cairo_t *cairo;

@@ -8,9 +8,13 @@
 
 #include <pango/pangocairo.h>
 
-/* gives (g_object_unref): the text laid out in this face, with characters that it lacks named. */
+/* gives (g_object_unref): the text laid out in this face, with characters that it lacks named; broken
+ * into lines of this width, and at newlines, or with a width of 0 on one line. */
 PangoLayout *gsn_lettering_layout(struct gsn_lettering *lettering, enum gsn_face face, double px,
-                                  const char *text);
+                                  const char *text, double width);
+
+/* From here on letters are laid out for a printer: at fractions of a unit, as the font has them. */
+void gsn_lettering_for_paper(struct gsn_lettering *lettering);
 
 /* Mixes the colour into the picture by the weights of an A8 surface whose upper left corner lies at
  * (x, y). Fails with GSN_E_NOMEM when cairo ran out of memory on the way. */

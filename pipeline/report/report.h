@@ -257,6 +257,11 @@ int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *re
 int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *ret_size,
                     struct gsn_error *err);
 
+/* gives: the page on paper (A4), as a PDF. Fails with GSN_E_NOMEM, and with GSN_E_NOTFOUND where
+ * the fonts are missing. */
+int gsn_report_pdf(const struct gsn_report *report, uint8_t **ret_bytes, size_t *ret_size,
+                   struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

@@ -27,6 +27,7 @@
 #include "pipeline/stain/error_propagation.h"
 #include "pipeline/stain/normalisation.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -476,6 +477,24 @@ static int write_report(const struct gsn_report_inputs *e, struct gsn_builder *d
     return GSN_OK;
 }
 
+/* The page on paper, which names the other files beside the report. */
+static int add_pdf(const struct gsn_builder *d, struct gsn_specimen_result *result,
+                   struct gsn_error *err)
+{
+    struct gsn_specimen_file *const file = &result->file[result->file_count];
+    int r;
+
+    assert(result->file_count < GSN_SPECIMEN_FILES);
+    if (d->out_of_memory)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the texts of a report");
+    r = gsn_report_pdf(&d->report, &file->bytes, &file->size, err);
+    if (r < 0)
+        return r;
+    file->name = "report.pdf";
+    result->file_count++;
+    return GSN_OK;
+}
+
 /* What is kept as a file beside the report. */
 static int fill_outputs(const struct gsn_specimen_result *result, struct gsn_builder *d,
                         struct gsn_error *err)
@@ -528,6 +547,10 @@ int gsn_report_build(const struct gsn_report_inputs *e, struct gsn_specimen_resu
     gsn_builder_parameters(e, &d);
     judge_verdict(e, &d);
     r = fill_outputs(result, &d, err);
+    if (r >= 0)
+        r = add_pdf(&d, result, err);
+    if (r >= 0)
+        r = fill_outputs(result, &d, err);
     if (r >= 0)
         r = write_report(e, &d, result, err);
     free_draft(&d);

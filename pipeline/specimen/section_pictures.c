@@ -70,6 +70,7 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
     static const struct gsn_colour ring = { .r = 0, .g = 110, .b = 230 };
+    const struct gsn_jpeg_style style = { .quality = quality, .smallest = 1 };
     const int longest = width > height ? width : height;
     const double scale = longest > (int)longest_px ? (double)longest_px / longest : 1;
     const uint32_t w = (uint32_t)fmax(1, floor(width * scale));
@@ -98,7 +99,7 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
         return r;
     ret_picture->width = small->width;
     ret_picture->height = small->height;
-    return quality ? gsn_jpeg_encode(small, quality, &ret_picture->png, &ret_picture->size, err)
+    return quality ? gsn_jpeg_encode(small, &style, &ret_picture->png, &ret_picture->size, err)
                    : gsn_png_encode(small, &ret_picture->png, &ret_picture->size, err);
 }
 

@@ -132,15 +132,16 @@ struct gsn_specimen_measure {
     double value, lower, upper; /* NaN where there is none */
 };
 
-/* A file that is kept beside the report: "colour.nrrd", the stack in true colour (sections), and
- * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit). */
+/* A file that is kept beside the report: "colour.nrrd", the stack in true colour (sections),
+ * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit), and "report.pdf",
+ * the page on paper. */
 struct gsn_specimen_file {
     const char *name;
     uint8_t *bytes; /* owned */
     size_t size;
 };
 
-enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 2 };
+enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 3 };
 
 struct gsn_specimen_result {
     int withheld;      /* 1: no figure could be given, the report says why */

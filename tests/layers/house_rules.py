@@ -31,7 +31,7 @@ LAYERS = {
     "pipeline/library": ("pipeline/core", "pipeline/model", "pipeline/measure", "pipeline/render",
                          "pipeline/export"),
     "pipeline/report": ("pipeline/core", "pipeline/measure", "pipeline/render"),
-    "pipeline/phantom": ("pipeline/core",),
+    "pipeline/phantom": ("pipeline/core", "pipeline/decode"),
     "pipeline/study": ("pipeline/core", "pipeline/measure", "pipeline/report"),
     "pipeline/folder": ("pipeline/core", "pipeline/decode", "pipeline/register"),
     "pipeline/specimen": ("pipeline",),

@@ -1,11 +1,25 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* report_sample DIR: writes one made-up page of each kind there, for looking at. */
+/* report_sample DIR: writes one made-up page of each kind there, as HTML and PDF, for looking at
+ * and for test_pdf.py. */
 #include <math.h>
 #include <stdio.h>
 
 #include "pipeline/core/file.h"
 #include "tests/report/sample.h"
+
+static int write_pdf(const char *folder, const char *name, const struct gsn_report *report,
+                     struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    gsn_auto_mem(char) path = gsn_format("%s/%s.pdf", folder, name);
+    size_t size = 0;
+    int r = path ? gsn_report_pdf(report, &bytes, &size, err) : GSN_E_NOMEM;
+
+    if (r >= 0)
+        r = gsn_file_write(path, bytes, size, err);
+    return r;
+}
 
 static int write_page(const char *folder, const char *name, const struct gsn_report *report,
                       struct gsn_error *err)
@@ -17,6 +31,8 @@ static int write_page(const char *folder, const char *name, const struct gsn_rep
 
     if (r >= 0)
         r = gsn_file_write(path, page, size, err);
+    if (r >= 0)
+        r = write_pdf(folder, name, report, err);
     return r;
 }
 

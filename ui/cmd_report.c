@@ -3,12 +3,13 @@
 /* The verbs that show what a finished run left: report, trace.
  *
  * Both hold the run's files against their hashes first: a report that is not what the run wrote is
- * not shown. `report` gives its path, or its JSON. `trace` goes from a figure back to what it rests
- * on. Steps, of a specimen: (1) its latest report; (2) the figure and how it is computed; the
- * baseline's runs, and whether their density is still the one that was used; (3) sections, those
- * that were not used with why, panels and files with their hashes, what people decided; (4) the run
- * before it with another key, and every parameter, file and figure in which the two differ. Of a
- * study: its animals and their specimens, each with its run; groups are not named, it may be blind.
+ * not shown. `report` gives where the page, its JSON and its PDF lie, or its JSON. `trace` goes
+ * from a figure back to what it rests on. Steps, of a specimen: (1) its latest report; (2) the
+ * figure and how it is computed; the baseline's runs, and whether their density is still the one
+ * that was used; (3) sections, those that were not used with why, panels and files with their
+ * hashes, what people decided; (4) the run before it with another key, and every parameter, file
+ * and figure in which the two differ. Of a study: its animals and their specimens, each with its
+ * run; groups are not named, it may be blind.
  *
  * Failure: 66 without a report, 65 where a file was changed. Cost: two JSON files read. */
 
@@ -56,11 +57,42 @@ static int print_file(const char *path, struct gsn_error *err)
     return r;
 }
 
+/* gives: where the page on paper lies, from the store's folder, held against its hash in the
+ * report; NULL for a run of a gieson that made none. */
+static int check_pdf(struct gsn_store *store, const struct gsn_run_row *run, const char *json,
+                     char **ret_path, struct gsn_error *err)
+{
+    json_t *report = json_load_file(json, 0, NULL);
+    const json_t *outputs = json_object_get(json_object_get(report, "provenance"), "outputs");
+    gsn_auto_mem(char) path = NULL;
+    json_t *output;
+    size_t i;
+    int r = GSN_OK;
+
+    json_array_foreach (outputs, i, output) {
+        const char *name = json_string_value(json_object_get(output, "name"));
+        const char *sha256 = json_string_value(json_object_get(output, "sha256"));
+
+        if (!name || !sha256 || strcmp(name, "report.pdf") != 0)
+            continue;
+        path = gsn_format("%.*s%s", (int)(strrchr(run->report_path, '/') + 1 - run->report_path),
+                          run->report_path, name);
+        r = path ? gsn_audit_file(store, path, sha256, err)
+                 : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+        break;
+    }
+    json_decref(report);
+    if (r >= 0)
+        *ret_path = gsn_steal(&path);
+    return r;
+}
+
 int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
 {
     gsn_auto(gsn_store) store = NULL;
     gsn_auto(gsn_run_row) run = NULL;
     gsn_auto_mem(char) json = NULL;
+    gsn_auto_mem(char) pdf = NULL;
     struct gsn_error err = { 0 };
     int status = EX_OK, r;
 
@@ -82,9 +114,14 @@ int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
         r = print_file(json, &err);
         return r < 0 ? gsn_ui_complain(ui, &err, r) : EX_OK;
     }
+    r = check_pdf(store, run, json, &pdf, &err);
+    if (r < 0)
+        return gsn_ui_complain(ui, &err, r);
     gsn_text_line(stdout, "run %lld, %s%s%s", (long long)run->id, run->state,
                   run->message[0] ? ": " : "", run->message);
     (void)printf("%s/%s\n%s\n", gsn_store_dir(store), run->report_path, json);
+    if (pdf)
+        (void)printf("%s/%s\n", gsn_store_dir(store), pdf);
     return EX_OK;
 }
 

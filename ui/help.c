@@ -56,7 +56,8 @@ static const struct gsn_help pages[] = {
       "undo takes an answer back.",
       "  --because TEXT       why; kept with the answer\n",
       "gieson decide R07-left 2.6 pose 2 --because 'the crack is on the left'" },
-    { "report", "SPECIMEN", "Where its latest report is; with --json the report itself.", "",
+    { "report", "SPECIMEN",
+      "Where its latest report is: the page, its JSON, its PDF; with --json the report itself.", "",
       "gieson report R07-left\ngieson report R07-left --json | jq .loss_percent" },
     { "trace", "SPECIMEN | STUDY",
       "What a figure rests on: how it is computed, the baseline's runs, the sections that were not\n"

@@ -49,6 +49,18 @@ static void set_edges(PangoContext *context, cairo_hint_style_t hints, cairo_hin
     cairo_font_options_destroy(edges);
 }
 
+/* Pango starts fontconfig too, which would read all fonts of the machine and its caches if it had
+ * no configuration yet. */
+static void know_no_fonts(void)
+{
+    FcConfig *none = FcConfigCreate();
+
+    if (none) {
+        (void)FcConfigSetCurrent(none);
+        FcConfigDestroy(none);
+    }
+}
+
 int gsn_lettering_new(const char *folder, struct gsn_lettering **ret_lettering,
                       struct gsn_error *err)
 {
@@ -58,13 +70,11 @@ int gsn_lettering_new(const char *folder, struct gsn_lettering **ret_lettering,
 
     if (!fonts)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for letters");
+    know_no_fonts();
     r = add_font(fonts, folder, "DejaVuSans.ttf", err);
     if (r >= 0)
         r = add_font(fonts, folder, "DejaVuSans-Bold.ttf", err);
     if (r >= 0) {
-        /* Pango starts fontconfig as well, which would read all fonts of the machine if it had no
-         * configuration yet. */
-        (void)FcConfigSetCurrent(fonts);
         lettering->map = pango_cairo_font_map_new_for_font_type(CAIRO_FONT_TYPE_FT);
         pango_fc_font_map_set_config(PANGO_FC_FONT_MAP(lettering->map), fonts);
         lettering->context = pango_font_map_create_context(lettering->map);
@@ -80,6 +90,9 @@ void gsn_lettering_free(struct gsn_lettering *lettering)
     if (!lettering)
         return;
     g_clear_object(&lettering->context);
+    /* A map of pango 1.50 never lets go of its configuration. */
+    if (lettering->map)
+        pango_fc_font_map_set_config(PANGO_FC_FONT_MAP(lettering->map), NULL);
     g_clear_object(&lettering->map);
     gsn_free(lettering);
 }

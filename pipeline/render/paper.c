@@ -38,6 +38,7 @@ static const struct {
 struct file {
     uint8_t *bytes;
     size_t size, room;
+    int failed; /* cairo does not always say so */
 };
 
 struct gsn_paper {
@@ -59,8 +60,10 @@ static cairo_status_t take_bytes(void *closure, const unsigned char *bytes, unsi
         const size_t room = 2 * (file->size + size);
         uint8_t *const more = gsn_realloc_array(file->bytes, room, 1);
 
-        if (!more)
+        if (!more) {
+            file->failed = 1;
             return CAIRO_STATUS_WRITE_ERROR;
+        }
         file->bytes = more;
         file->room = room;
     }
@@ -438,7 +441,7 @@ int gsn_paper_finish(struct gsn_paper *paper, uint8_t **ret_bytes, size_t *ret_s
     cairo_surface_finish(paper->surface);
     if (paper->is_bad)
         return gsn_fail(err, GSN_E_INPUT, "a picture of the PDF cannot be read");
-    if (cairo_status(paper->cairo) != CAIRO_STATUS_SUCCESS ||
+    if (paper->file.failed || cairo_status(paper->cairo) != CAIRO_STATUS_SUCCESS ||
         cairo_surface_status(paper->surface) != CAIRO_STATUS_SUCCESS)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while writing a PDF");
     *ret_bytes = gsn_steal(&paper->file.bytes);

@@ -250,8 +250,13 @@ static void add_loss(struct gsn_report_text *text, const struct gsn_report *repo
 {
     gsn_report_text_raw(text,
                         "<div class=\"hero\">\n<div><p class=\"label\">Collagen loss against ");
+    if (report->baseline_page) {
+        gsn_report_text_raw(text, "<a href=\"");
+        gsn_report_text_escape(text, report->baseline_page);
+        gsn_report_text_raw(text, "\">");
+    }
     gsn_report_text_escape(text, report->baseline);
-    gsn_report_text_raw(text, "</p>\n");
+    gsn_report_text_raw(text, report->baseline_page ? "</a></p>\n" : "</p>\n");
     if (isfinite(report->loss_percent)) {
         gsn_report_text_raw(text, "<p class=\"big\">");
         gsn_report_text_number(text, report->loss_percent, 1);

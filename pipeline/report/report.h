@@ -203,6 +203,7 @@ struct gsn_report {
     const char *verdict_reason; /* one sentence; may be empty when fine */
 
     const char *baseline; /* name of the specimen or group; empty when there is none */
+    const char *baseline_page; /* a relative link to its report; NULL: it is a group */
     double loss_percent;  /* relative per cent of the baseline's density; NaN: withheld */
     double loss_points;   /* difference of the mean densities in points of density (0..100) */
     double loss_lower, loss_upper; /* its interval, per cent, where loss_interval says of what */

@@ -39,6 +39,7 @@ static void free_draft(struct gsn_builder *d)
         gsn_free(d->text[i]);
     gsn_free(d->text);
     gsn_free(d->warning);
+    gsn_free(d->cost);
     gsn_free(d->exclusion);
     gsn_free(d->section);
     gsn_free(d->flag);
@@ -54,6 +55,7 @@ static int init_draft(struct gsn_builder *d, size_t sections, size_t panels, siz
 {
     *d = (struct gsn_builder){ .report = { .loss_lower = NAN, .loss_upper = NAN } };
     d->warning = gsn_alloc_array(64 + 12 * panels + decisions, sizeof *d->warning);
+    d->cost = gsn_alloc_array(64 + 12 * panels + decisions, sizeof *d->cost);
     d->exclusion = gsn_alloc_array(sections + GSN_DEFECTS + panels + 1, sizeof *d->exclusion);
     d->section = gsn_alloc_array(sections + 1, sizeof *d->section);
     d->flag = gsn_alloc_array(sections + 1, sizeof *d->flag);
@@ -61,8 +63,8 @@ static int init_draft(struct gsn_builder *d, size_t sections, size_t panels, siz
     d->decision = gsn_alloc_array(decisions + 1, sizeof *d->decision);
     d->panel = gsn_alloc_array(panels + 1, sizeof *d->panel);
     d->input = gsn_alloc_array(inputs + 1, sizeof *d->input);
-    if (d->warning && d->exclusion && d->section && d->flag && d->candidate && d->decision &&
-        d->panel && d->input)
+    if (d->warning && d->cost && d->exclusion && d->section && d->flag && d->candidate &&
+        d->decision && d->panel && d->input)
         return GSN_OK;
     free_draft(d);
     return gsn_fail(err, GSN_E_NOMEM, "out of memory for a report");
@@ -96,7 +98,25 @@ const char *gsn_builder_say(struct gsn_builder *d, const char *format, ...)
 
 void gsn_builder_warn(struct gsn_builder *d, const char *sentence)
 {
-    d->warning[d->warning_count++] = sentence;
+    gsn_builder_warn_cost(d, (struct gsn_builder_cost){ 0 }, sentence);
+}
+
+static int costs_more(struct gsn_builder_cost a, struct gsn_builder_cost b)
+{
+    return a.points > b.points || (!(a.points < b.points) && a.sections > b.sections);
+}
+
+void gsn_builder_warn_cost(struct gsn_builder *d, struct gsn_builder_cost cost,
+                           const char *sentence)
+{
+    size_t at = d->warning_count++;
+
+    for (; at > 0 && costs_more(cost, d->cost[at - 1]); at--) {
+        d->warning[at] = d->warning[at - 1];
+        d->cost[at] = d->cost[at - 1];
+    }
+    d->warning[at] = sentence;
+    d->cost[at] = cost;
 }
 
 void gsn_builder_value(struct gsn_report_value *rows, size_t *count, const char *name, double value,
@@ -345,6 +365,7 @@ static void fill_head(const struct gsn_report_inputs *e, struct gsn_builder *d)
     r->week = isnan(p->week) ? "" : gsn_builder_say(d, "%g", p->week);
     r->kind = kinds[p->kind];
     r->baseline = p->baseline;
+    r->baseline_page = e->specimen->baseline.page;
     r->loss_percent = r->loss_points = r->baseline_mean = r->zero_density = NAN;
     r->area_figure = (struct gsn_report_value){ .value = NAN };
     r->region =

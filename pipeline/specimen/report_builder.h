@@ -50,12 +50,20 @@ enum { GSN_BUILDER_ROWS = 96, GSN_BUILDER_FLAGS = 16 };
 /* Between the dyes and the batch that was stained with them. */
 #define GSN_BUILDER_IN_BATCH ", batch "
 
+/* What the matter of a warning costs, as far as it is known: points of the loss (standard error;
+ * INFINITY where there is no loss for it), and sections that are not used. */
+struct gsn_builder_cost {
+    double points;
+    size_t sections;
+};
+
 /* The report's records and the texts they borrow. */
 struct gsn_builder {
     struct gsn_report report;
     char **text; /* owned */
     size_t text_count, text_room;
-    const char **warning;
+    const char **warning; /* what costs most first */
+    struct gsn_builder_cost *cost; /* of each of them */
     size_t warning_count;
     struct gsn_report_exclusion *exclusion;
     size_t exclusion_count;
@@ -87,8 +95,11 @@ struct gsn_builder {
 const char *gsn_builder_say(struct gsn_builder *d, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 
-/* sentence lives as long as the draft. */
+/* sentence lives as long as the draft. Warnings are kept by what they cost, points before sections;
+ * those that cost alike, or of which nothing is known, in the order in which they come. */
 void gsn_builder_warn(struct gsn_builder *d, const char *sentence);
+void gsn_builder_warn_cost(struct gsn_builder *d, struct gsn_builder_cost cost,
+                           const char *sentence);
 void gsn_builder_value(struct gsn_report_value *rows, size_t *count, const char *name, double value,
                        const char *unit);
 void gsn_builder_text(struct gsn_report_value *rows, size_t *count, const char *name,

@@ -169,12 +169,10 @@ void gsn_builder_figures(const struct gsn_report_inputs *e, struct gsn_builder *
     struct gsn_report *r = &d->report;
 
     gsn_region_describe(&e->specimen->protocol->region, rule, sizeof rule);
-    r->region = (struct gsn_report_region){
-        .volume_mm3 = 1e-9 * analysis->density.volume_um3,
-        .mean_density = analysis->density.mean,
-        .coverage = analysis->coverage,
-        .description = gsn_builder_say(d, "%s", rule)
-    };
+    r->region = (struct gsn_report_region){ .volume_mm3 = 1e-9 * analysis->density.volume_um3,
+                                            .mean_density = analysis->density.mean,
+                                            .coverage = analysis->coverage,
+                                            .description = gsn_builder_say(d, "%s", rule) };
     for (size_t i = 0; i < analysis->bound_count; i++)
         d->volume[i] = describe_volume(analysis, i);
     r->volumes = d->volume;
@@ -244,12 +242,13 @@ void gsn_builder_bridge(const struct gsn_report_inputs *e, struct gsn_builder *d
     gsn_builder_value(d->measure, &r->measure_count, "Standard error of the mean from bridging",
                       b->error, "density");
     if (share > BRIDGED_UNSAID)
-        gsn_builder_warn(
-            d, gsn_builder_say(
-                   d,
-                   "%.1f %% of the region of interest was not seen and is bridged from the "
-                   "sections beside it, which makes the mean density uncertain by %.2g",
-                   100 * share, b->error));
+        gsn_builder_warn_cost(
+            d, (struct gsn_builder_cost){ .points = 100 * b->error },
+            gsn_builder_say(
+                d,
+                "%.1f %% of the region of interest was not seen and is bridged from the "
+                "sections beside it, which makes the mean density uncertain by %.2g",
+                100 * share, b->error));
 }
 
 /* What the figures of a tile rest on, each as measured, as stated or as assumed. */

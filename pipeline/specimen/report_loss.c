@@ -201,13 +201,13 @@ static int pool_init(const struct gsn_report_inputs *e, struct pool *pool)
 /* Both sides' colours, and the loss by the table alone. */
 struct sides {
     double here[3], there[3];
-    double free[3];   /* of tissue that is stated to hold no collagen, in R + G + B of it */
-    double free_all;  /* R + G + B of it, summed over the specimens */
-    int stated;       /* of how many specimens; 0: of none */
+    double free[3];     /* of tissue that is stated to hold no collagen, in R + G + B of it */
+    double free_all;    /* R + G + B of it, summed over the specimens */
+    int stated;         /* of how many specimens; 0: of none */
     double free_panels; /* that it lies in, of all of them */
-    double apparent;  /* treated over control */
-    double density;   /* of the control */
-    double deviation; /* of the loss by all but the vectors, per cent */
+    double apparent;    /* treated over control */
+    double density;     /* of the control */
+    double deviation;   /* of the loss by all but the vectors, per cent */
 };
 
 /* panels: that it lies in; 0: an older run did not count them, and one is the least. */
@@ -314,9 +314,9 @@ static double spread_quantile(const struct spread *s, double share)
 
 /* ---- loss -------------------------------------------------------------------------------- */
 
-/* The edge panel by panel. A panel whose bath or light lies apart has its edge apart, and all of its
- * tissue with it: so the edge that counts is that of the panels which the treated region was seen in.
- * (The control's tissue lies on the axis from collagen, where the edge has no say.) */
+/* The edge panel by panel. A panel whose bath or light lies apart has its edge apart, and all of
+ * its tissue with it: so the edge that counts is that of the panels which the treated region was
+ * seen in. (The control's tissue lies on the axis from collagen, where the edge has no say.) */
 struct panel_edges {
     double mean;      /* of this specimen's panels */
     double scatter;   /* from panel to panel within a specimen, so wide that 1.96 of it hold 95 %
@@ -437,7 +437,8 @@ static const char *by_edge(struct gsn_builder *d, const struct sides *sides,
     step = (gsn_hue_edge_ratio(&edge, sides->there, sides->here, 0.01) -
             gsn_hue_edge_ratio(&edge, sides->there, sides->here, -0.01)) /
            0.02;
-    ret_spread->most = 100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -panels.mean));
+    ret_spread->most =
+        100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -panels.mean));
     ret_spread->per_purest = 100 * step;
     ret_spread->deviation = hypot(100 * step * hypot(error, edge_error), sides->deviation);
     ret_spread->purest = PUREST;
@@ -452,7 +453,8 @@ static const char *by_edge(struct gsn_builder *d, const struct sides *sides,
         /* No cell holds less than no collagen, so such tissue is not far inside the cloud. */
         if (tissue.at - panels.mean > 1.96 * hypot(deviation, tissue.purest))
             return note_contradiction(d, &tissue, panels.mean);
-        ret_spread->most = 100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -tissue.at));
+        ret_spread->most =
+            100 * (1 - gsn_hue_edge_ratio(&edge, sides->there, sides->here, -tissue.at));
         ret_spread->purest = tissue.purest;
         ret_spread->deviation = hypot(100 * step * deviation, sides->deviation);
         return NULL;
@@ -595,6 +597,8 @@ static const char *too_little_of_baseline(const struct gsn_specimen_baseline *b,
     return why ? gsn_builder_say(d, "%s: settle what its report says, then run again", why) : NULL;
 }
 
+static const struct gsn_builder_cost no_loss = { .points = INFINITY };
+
 /* Why the baseline gives nothing to compare with. */
 static const char *no_baseline(const struct gsn_specimen_baseline *b, struct gsn_builder *d)
 {
@@ -615,7 +619,7 @@ static const char *not_comparable(const struct gsn_report_inputs *e, struct gsn_
     const char *own = too_little_known(e, d), *theirs = too_little_of_baseline(b, d);
 
     if (own && theirs)
-        gsn_builder_warn(d, theirs);
+        gsn_builder_warn_cost(d, no_loss, theirs);
     if (own || theirs)
         return own ? own : theirs;
     if (e->reconstruction && e->reconstruction->scale.not_comparable[0])
@@ -635,8 +639,9 @@ static void warn_as_baseline(const struct gsn_report_inputs *e, struct gsn_build
     const char *known = e->analysis ? too_little_known(e, d) : NULL;
 
     if (known)
-        gsn_builder_warn(
-            d, gsn_builder_say(d, "no loss can be given against this specimen: %s", known));
+        gsn_builder_warn_cost(
+            d, no_loss,
+            gsn_builder_say(d, "no loss can be given against this specimen: %s", known));
 }
 
 /* Why this specimen is compared with nothing; NULL: there is something. */
@@ -657,7 +662,7 @@ static const char *nothing_beside(const struct gsn_report_inputs *e, struct gsn_
         return NULL;
     known = too_little_known(e, d);
     none = no_baseline(b, d);
-    gsn_builder_warn(d, none);
+    gsn_builder_warn_cost(d, no_loss, none);
     /* With a baseline it would be withheld just the same. */
     return known ? gsn_builder_say(d, "%s; %s", known, none) : none;
 }
@@ -730,7 +735,7 @@ void gsn_builder_loss(const struct gsn_report_inputs *e, struct gsn_builder *d)
         r->baseline_volume_mm3 = b->volume_mm3;
     r->loss_reason = compare_sides(e, d, &control, &treated, &loss);
     if (r->loss_reason) {
-        gsn_builder_warn(d, r->loss_reason);
+        gsn_builder_warn_cost(d, no_loss, r->loss_reason);
         return;
     }
     print_loss(&loss, d->by_colours, r);

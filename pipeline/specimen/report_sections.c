@@ -415,7 +415,7 @@ static void exclude_masked(const struct gsn_reconstruction *a, struct gsn_builde
 }
 
 /* Panels that give nothing, each reason once with the files that have it. */
-static void exclude_panels(const struct gsn_reconstruction *a, struct gsn_builder *d)
+static void exclude_panels(const struct gsn_reconstruction *a, size_t slots, struct gsn_builder *d)
 {
     for (size_t i = 0; i < a->densities.panel_count; i++) {
         const struct gsn_specimen_panel *first = a->densities.panel[i].given;
@@ -442,8 +442,9 @@ static void exclude_panels(const struct gsn_reconstruction *a, struct gsn_builde
                       count == 1 ? gsn_builder_say(d, "panel file %s", files)
                                  : gsn_builder_say(d, "%zu panel files: %s", count, files),
                       first->message);
-        gsn_builder_warn(d, gsn_builder_say(d, "%s %s not used: %s", files,
-                                            count == 1 ? "was" : "were", first->message));
+        gsn_builder_warn_cost(d, (struct gsn_builder_cost){ .sections = count * slots },
+                              gsn_builder_say(d, "%s %s not used: %s", files,
+                                              count == 1 ? "was" : "were", first->message));
     }
 }
 
@@ -486,13 +487,15 @@ static void fill_sections(const struct gsn_report_inputs *e, struct gsn_builder 
             gsn_builder_say(d, "%zu section%s laid by two marks only: compare with the neighbours",
                             doubtful, doubtful == 1 ? " was" : "s were"));
     if (held)
-        gsn_builder_warn(d, gsn_builder_say(d, "%zu section%s held and not used", held,
-                                            held == 1 ? " is" : "s are"));
+        gsn_builder_warn_cost(d, (struct gsn_builder_cost){ .sections = held },
+                              gsn_builder_say(d, "%zu section%s held and not used", held,
+                                              held == 1 ? " is" : "s are"));
     if (missing)
-        gsn_builder_warn(
-            d, gsn_builder_say(
-                   d, "%zu expected section%s missing; nothing was moved up to close the gap",
-                   missing, missing == 1 ? " is" : "s are"));
+        gsn_builder_warn_cost(
+            d, (struct gsn_builder_cost){ .sections = missing },
+            gsn_builder_say(d,
+                            "%zu expected section%s missing; nothing was moved up to close the gap",
+                            missing, missing == 1 ? " is" : "s are"));
     d->report.sections = d->section;
     d->report.section_count = a->poses.section_count;
 }
@@ -501,7 +504,7 @@ static void fill_panels(const struct gsn_report_inputs *e, struct gsn_builder *d
 {
     const struct gsn_reconstruction *a = e->reconstruction;
 
-    exclude_panels(a, d);
+    exclude_panels(a, (size_t)e->specimen->protocol->rows * e->specimen->protocol->columns, d);
     for (size_t i = 0; i < a->densities.panel_count; i++) {
         const struct gsn_stack_panel *p = &a->densities.panel[i];
         struct gsn_report_panel *row = &d->panel[i];

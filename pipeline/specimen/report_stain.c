@@ -181,7 +181,7 @@ void gsn_builder_definition(const struct gsn_report_inputs *e, struct gsn_builde
 static struct gsn_vector_scatter turns_of_both(const struct gsn_report_inputs *e)
 {
     return gsn_vector_scatter_pool(&e->reconstruction->scale.levelling.turns,
-                               &e->specimen->baseline.turns);
+                                   &e->specimen->baseline.turns);
 }
 
 /* Relative standard error, by its dye vectors, of a density that is compared with a baseline by
@@ -199,8 +199,8 @@ static double vectors_error(const struct gsn_report_inputs *e, double ratio)
 }
 
 /* What JPEG does to a mean density, relative: red of patches of 170 pixels of two real tiles, at
- * quality 85. It took 2.1 +- 0.7 % of one in picrosirius red and 0.1 +- 0.6 % of one in haematoxylin
- * and eosin, by how fine their texture is, so that a loss keeps part of it. */
+ * quality 85. It took 2.1 +- 0.7 % of one in picrosirius red and 0.1 +- 0.6 % of one in
+ * haematoxylin and eosin, by how fine their texture is, so that a loss keeps part of it. */
 static const double BY_JPEG = 0.013;
 
 static int is_lossy(const struct gsn_report_inputs *e)
@@ -218,11 +218,13 @@ void gsn_builder_compression(const struct gsn_report_inputs *e, struct gsn_build
         return;
     gsn_builder_value(d->measure, &d->report.measure_count,
                       "Standard error of the mean density by JPEG", 100 * BY_JPEG, "%");
-    gsn_builder_warn(d, gsn_builder_say(d,
-                                        "panels went through JPEG, which takes the colour of fine "
-                                        "texture: a mean density is off by %.1f %% (standard error): "
-                                        "let the scanner write PNG or TIFF without JPEG",
-                                        100 * BY_JPEG));
+    gsn_builder_warn_cost(
+        d, (struct gsn_builder_cost){ .points = 100 * BY_JPEG * d->report.region.mean_density },
+        gsn_builder_say(d,
+                        "panels went through JPEG, which takes the colour of fine "
+                        "texture: a mean density is off by %.1f %% (standard error): "
+                        "let the scanner write PNG or TIFF without JPEG",
+                        100 * BY_JPEG));
 }
 
 /* That by all that the stain leaves open. What the steps between panels do is in the errors of the
@@ -264,8 +266,8 @@ void gsn_builder_link_sides(const struct gsn_report_inputs *e, const struct gsn_
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
 
     control->mean = d->link.gain * b->mean_density + d->link.offset;
-    control->standard_error =
-        hypot(d->link.gain * b->own_scale_error, gsn_batch_calibration_error(&d->link, b->mean_density));
+    control->standard_error = hypot(d->link.gain * b->own_scale_error,
+                                    gsn_batch_calibration_error(&d->link, b->mean_density));
     treated->standard_error =
         own_error(e, treated->mean / control->mean) * e->analysis->density.mean;
 }

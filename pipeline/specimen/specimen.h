@@ -76,6 +76,7 @@ struct gsn_specimen_baseline {
     const struct gsn_specimen_control *control; /* each of the specimens */
     const char *definition, *dyes;
     const char *region; /* the rule of their regions; "": not known, or not one */
+    const char *page;   /* a link from this run's folder to its last report; NULL: a group */
 };
 
 struct gsn_specimen {

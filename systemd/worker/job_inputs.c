@@ -33,8 +33,10 @@
 #include "storage/catalog.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
+#include "systemd/worker/audit.h"
 #include "systemd/worker/panel_job.h"
 #include "systemd/worker/rescan.h"
+#include "systemd/worker/study.h"
 
 struct gsn_job_inputs {
     struct gsn_store *store;
@@ -54,7 +56,7 @@ struct gsn_job_inputs {
     const char **calibration_sha256; /* its entries are the attachments' */
     struct gsn_mask *region;
     struct gsn_grid *volume;
-    char *definition, *dyes, *rule; /* of the baseline */
+    char *definition, *dyes, *rule, *page; /* of the baseline */
     struct gsn_specimen_control *control;
     json_t *baseline_keys;
     char *inputs;
@@ -481,6 +483,23 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
     return GSN_OK;
 }
 
+/* From the folder of one specimen's run to the last report of another, by names alone: the same
+ * whichever run that is. */
+static int link_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *control,
+                        struct gsn_error *err)
+{
+    gsn_auto_mem(char) folder = NULL;
+    gsn_auto_mem(char) link = NULL;
+    const int r = gsn_store_report_dir(m->store, control->name, &folder, err);
+
+    if (r < 0)
+        return r;
+    link = gsn_study_link(strrchr(folder, '/'));
+    m->page = link ? gsn_format("../..%s/" GSN_LATEST "/report.html", link) : NULL;
+    m->specimen.baseline.page = m->page;
+    return m->page ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+}
+
 /* The mean of the baseline's specimens, and the keys of their runs. */
 static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
 {
@@ -500,6 +519,8 @@ static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
     for (size_t i = 0; r >= 0 && i < controls->count; i++)
         if (controls->at[i].id != m->row->id)
             r = add_control(m, &controls->at[i], err);
+    if (r >= 0 && controls->count == 1 && b->specimens + b->withheld == 1)
+        r = link_control(m, &controls->at[0], err);
     if (b->specimens > 0) {
         b->mean_density /= (double)b->specimens;
         b->mean_density_error /= (double)b->specimens;
@@ -922,6 +943,7 @@ void gsn_job_inputs_free(struct gsn_job_inputs *m)
     gsn_free(m->definition);
     gsn_free(m->dyes);
     gsn_free(m->rule);
+    gsn_free(m->page);
     for (size_t i = 0; m->control && i < m->specimen.baseline.specimens; i++)
         gsn_cloud_free(m->control[i].cloud);
     gsn_free(m->control);

@@ -31,6 +31,7 @@
 #include "systemd/worker/audit.h"
 #include "systemd/worker/job_inputs.h"
 #include "systemd/worker/panel_job.h"
+#include "systemd/worker/store_index.h"
 
 /* Where a report lies: reports/SPECIMEN/KEY, so that the same work makes the same files. */
 struct place {
@@ -347,6 +348,9 @@ static int finish_run(struct gsn_store *store, const struct gsn_job_row *job, in
         end.poses = rows.pose;
         end.stains = rows.stain;
         r = commit_run(store, job, run, &end, inputs, panels, result, err);
+        /* The next index makes it where this cannot. */
+        if (r >= 0)
+            (void)gsn_store_link_latest(store, relative_path(store, place.html), NULL);
     }
     rows_done(&rows);
     run_place_done(&place);

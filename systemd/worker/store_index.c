@@ -6,7 +6,7 @@
  * hides, and of the specimens of none. 2. The page. 3. For each specimen with a report a link
  * "latest" beside the folders of its runs, put in place by a rename. To publish: the same records
  * again; the pages of the studies and each report that a record links to are copied where they
- * differ.
+ * differ, and a page in the place of "latest" leads to the last report.
  *
  * Failure: the first file that cannot be written ends it, and is named. Cost: one report.json read
  * a specimen. */
@@ -111,23 +111,22 @@ static int write_page(struct gsn_store *store, const struct studies *studies, st
 }
 
 /* reports/SPECIMEN/latest -> KEY */
-static int link_latest(struct gsn_store *store, const struct gsn_run_row *run,
-                       struct gsn_error *err)
+int gsn_store_link_latest(struct gsn_store *store, const char *report_path, struct gsn_error *err)
 {
-    const char *const end = strrchr(run->report_path, '/');
+    const char *const end = strrchr(report_path, '/');
     const char *key = end;
     gsn_auto_mem(char) target = NULL;
     gsn_auto_mem(char) link = NULL;
     gsn_auto_mem(char) part = NULL;
     char was[64] = "";
 
-    while (key && key > run->report_path && key[-1] != '/')
+    while (key && key > report_path && key[-1] != '/')
         key--;
-    if (!key || key == run->report_path)
+    if (!key || key == report_path)
         return GSN_OK;
     target = gsn_format("%.*s", (int)(end - key), key);
-    link = gsn_format("%s/%.*s" GSN_LATEST, gsn_store_dir(store), (int)(key - run->report_path),
-                      run->report_path);
+    link = gsn_format("%s/%.*s" GSN_LATEST, gsn_store_dir(store), (int)(key - report_path),
+                      report_path);
     part = link ? gsn_format("%s.part", link) : NULL;
     if (!target || !part)
         return no_memory(err);
@@ -153,7 +152,7 @@ static int link_all(struct gsn_store *store, struct gsn_error *err)
             if (*runs->at[k].report_path)
                 last = &runs->at[k];
         if (last)
-            r = link_latest(store, last, err);
+            r = gsn_store_link_latest(store, last->report_path, err);
     }
     return r;
 }
@@ -233,9 +232,50 @@ static int publish_beside(struct gsn_store *store, const char *folder, const cha
     return r;
 }
 
+/* A web server or a share may not follow links: a page at the place of "latest" that leads on. */
+static int publish_latest(const char *folder, const char *path, struct gsn_error *err)
+{
+    const char *const end = strrchr(path, '/');
+    const char *key = end;
+    gsn_auto_mem(char) target = NULL;
+    gsn_auto_mem(char) page = NULL;
+    gsn_auto_mem(char) to = NULL;
+    gsn_auto_mem(char) place = NULL;
+    int r;
+
+    while (key && key > path && key[-1] != '/')
+        key--;
+    if (!key || key == path)
+        return GSN_OK;
+    target = gsn_format("../%.*s/report.html", (int)(end - key), key);
+    place = gsn_format("%s/%.*s" GSN_LATEST, folder, (int)(key - path), path);
+    to = place ? gsn_format("%s/report.html", place) : NULL;
+    page = target ? gsn_format("<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">"
+                               "<title>The last report</title>"
+                               "<meta http-equiv=\"refresh\" content=\"0; url=%s\"></head>"
+                               "<body><p><a href=\"%s\">The last report</a></p></body></html>\n",
+                               target, target)
+                  : NULL;
+    if (!to || !page)
+        return no_memory(err);
+    r = gsn_file_mkdir(place, err);
+    return r < 0 ? r : gsn_file_write(to, page, strlen(page), err);
+}
+
+static int publish_report(struct gsn_store *store, const char *folder, const char *link,
+                          const char *const *names, size_t count, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = path_of_link(link);
+    const int r = publish_beside(store, folder, link, names, count, err);
+
+    if (r < 0)
+        return r;
+    return path ? publish_latest(folder, path, err) : no_memory(err);
+}
+
 int gsn_store_publish(struct gsn_store *store, const char *folder, struct gsn_error *err)
 {
-    static const char *const report[] = { "report.html", "report.json" };
+    static const char *const report[] = { "report.html", "report.json", "report.pdf" };
     static const char *const study[] = { "index.html", "study.json", "animals.csv" };
     auto_studies studies = { 0 };
     int r = gather_studies(store, &studies, err);
@@ -248,7 +288,7 @@ int gsn_store_publish(struct gsn_store *store, const char *folder, struct gsn_er
                                sizeof study / sizeof study[0], err);
         for (size_t i = 0; r >= 0 && i < input->specimen_count; i++)
             if (input->specimen[i].page)
-                r = publish_beside(store, folder, input->specimen[i].page, report,
+                r = publish_report(store, folder, input->specimen[i].page, report,
                                    sizeof report / sizeof report[0], err);
     }
     return r < 0 ? r : publish_file(store, folder, "index.html", err);

@@ -15,6 +15,10 @@
  * and with GSN_E_IO. */
 int gsn_store_index_write(struct gsn_store *store, struct gsn_error *err);
 
+/* reports/SPECIMEN/latest leads to the folder of this report; report_path is as in the run's row.
+ * Fails with GSN_E_NOMEM or GSN_E_IO. */
+int gsn_store_link_latest(struct gsn_store *store, const char *report_path, struct gsn_error *err);
+
 /* Copies index.html, the pages of all studies and the reports they link to (report.html and
  * report.json) into a folder, by the same names, so that its links hold: a share or a web root. The
  * folder is there; nothing in it is removed. Files that are alike are left as they are.

@@ -187,12 +187,30 @@ TEST(the_policy_allows_just_this_style_sheet_and_where_there_is_a_model_its_view
     sample_free(sample);
 }
 
+TEST(the_control_that_is_one_specimen_is_a_link_to_its_page)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
+
+    sample_report(sample)->baseline_page = "../../GVP%25\"/latest/report.html";
+    for (int withheld = 0; withheld < 2; withheld++) {
+        gsn_auto_mem(char) page = NULL;
+
+        if (withheld)
+            sample_report(sample)->loss_percent = (double)NAN;
+        page = page_of(sample_report(sample));
+        check_well_formed(page);
+        assert_non_null(strstr(page, "against <a href=\"../../GVP%25&quot;/latest/report.html\">"
+                                     "GVP-D-S00</a></p>"));
+    }
+    sample_free(sample);
+}
+
 TEST(the_first_thing_said_is_the_loss_and_against_what)
 {
     struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
     gsn_auto_mem(char) page = page_of(sample_report(sample));
 
-    assert_non_null(strstr(page, "Collagen loss against GVP-D-S00"));
+    assert_non_null(strstr(page, "Collagen loss against GVP-D-S00</p>"));
     assert_non_null(strstr(page, "<p class=\"big\">36.6<small>%</small></p>"));
     assert_non_null(strstr(page, "<p class=\"range\">34.1 to 38.9 % <span class=\"soft\">(95 %, "
                                  "stain, white and sections)</span></p>"));

@@ -253,7 +253,8 @@ TEST(what_both_sides_share_wholly_counts_as_they_differ)
 
         told_init(&t, 2);
         t.analysis.density.mean = ratio[k] * CONTROL;
-        t.stack.scale.levelling.vectors = (struct gsn_vector_error_left){ 1, 0, SHARED * SHARED, 0 };
+        t.stack.scale.levelling.vectors =
+            (struct gsn_vector_error_left){ 1, 0, SHARED * SHARED, 0 };
         gsn_auto(gsn_specimen_result) result = summarised(&t);
 
         CHECK_NEAR(by_vectors(result), 100 * ratio[k] * fabs(1 - ratio[k]) * SHARED, 1e-9);
@@ -305,7 +306,8 @@ TEST(without_a_loss_what_both_sides_share_is_not_in_the_interval)
 
     told_init(&t, 2);
     t.analysis.density.mean = CONTROL;
-    t.stack.scale.levelling.vectors = (struct gsn_vector_error_left){ 1, OWN * OWN, SHARED * SHARED, 0 };
+    t.stack.scale.levelling.vectors =
+        (struct gsn_vector_error_left){ 1, OWN * OWN, SHARED * SHARED, 0 };
     gsn_auto(gsn_specimen_result) result = summarised(&t);
 
     CHECK_NEAR(by_vectors(result), 100 * OWN, 1e-9);
@@ -856,4 +858,29 @@ TEST(no_text_of_the_vectors_goes_missing_for_want_of_memory)
 
     told_init(&t, 2);
     CHECK_EVERY_OOM(summarise_once(&t, NULL, &err), err);
+}
+
+TEST(warnings_stand_by_what_they_cost_and_alike_ones_as_they_came)
+{
+    static const struct {
+        double points;
+        size_t sections;
+        const char *said;
+    } came[] = { { 0, 0, "7" },        { 0, 3, "5" }, { 0.5, 0, "3" }, { 0, 12, "4" },
+                 { INFINITY, 0, "0" }, { 0, 0, "8" }, { 2.5, 1, "2" }, { INFINITY, 0, "1" },
+                 { 0, 3, "6" },        { 0, 0, "9" } };
+    const char *warning[10];
+    struct gsn_builder_cost cost[10];
+    struct gsn_builder draft = { .warning = warning, .cost = cost };
+
+    for (size_t i = 0; i < 10; i++)
+        if (came[i].points > 0 || came[i].sections > 0)
+            gsn_builder_warn_cost(&draft,
+                                  (struct gsn_builder_cost){ came[i].points, came[i].sections },
+                                  came[i].said);
+        else
+            gsn_builder_warn(&draft, came[i].said);
+    CHECK(draft.warning_count == 10);
+    for (size_t i = 0; i < 10; i++)
+        CHECK(warning[i][0] == (char)('0' + i));
 }

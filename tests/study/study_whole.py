@@ -104,6 +104,8 @@ def main():
         web.mkdir()
         run("index", "--publish", str(web))
         check_links(web / "index.html", 19)
+        check((web / "reports/drugA-1-0/latest/report.html").read_text().count(
+            f"../{latest.resolve().name}/report.html") == 2, "the last report is found there too")
         check_links(web / "studies" / "drawn" / "index.html", 18)
         check((web / "index.html").read_text() == front, "the page is the same there")
         check("no run of the store" not in run("scrub", "--quick"), "a link is no stray report")

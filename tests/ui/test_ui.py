@@ -230,8 +230,10 @@ class Plain(Bench):
     def test_the_report_is_that_of_the_file(self):
         self.reported_tile()
         lines = self.call("report", "tile").stdout.splitlines()
-        self.assertEqual(len(lines), 3)
+        self.assertEqual(len(lines), 4)
         self.assertTrue(pathlib.Path(lines[1]).is_file() and lines[1].endswith(".html"))
+        self.assertTrue(lines[3].endswith("/report.pdf"))
+        self.assertTrue(pathlib.Path(lines[3]).read_bytes().startswith(b"%PDF-"))
         told = self.call("report", "tile", "--json").stdout
         self.assertEqual(told, pathlib.Path(lines[2]).read_text(encoding="utf-8"))
         for key in ("specimen", "baseline", "loss_percent", "region", "volumes", "sections"):
@@ -294,6 +296,18 @@ class Plain(Bench):
                              rf"^run 1: NOT the same:\n  .*{path.name}: .*not those that the run wrote")
             path.write_bytes(content)
         self.assertEqual(self.call("report", "tile", "--json").returncode, 0)
+
+    def test_a_pdf_that_is_not_what_the_run_wrote_is_not_shown_and_verify_names_it(self):
+        self.reported_tile()
+        path = pathlib.Path(self.call("report", "tile").stdout.splitlines()[3])
+        content = path.read_bytes()
+        path.write_bytes(content.replace(b"cairo", b"Cairo"))
+        self.assertIn(f"{path}: its bytes are not those that the run wrote",
+                      self.refused(self.call("report", "tile"), 65))
+        self.assertIn(str(path.relative_to(self.store)),
+                      [f["what"] for f in self.json("verify", "tile", code=1)["findings"]])
+        path.write_bytes(content)
+        self.assertTrue(self.json("verify", "tile")["verified"])
 
     def test_verify_compares_with_the_lines_of_the_journal(self):
         self.reported_tile()

@@ -367,20 +367,23 @@ static double height_at(const struct gsn_paper_picture *picture, double width)
 static double place_lines(struct gsn_paper *paper, double x, double y, double width,
                           const char *text)
 {
-    const char *rest = strchr(text, '\n');
-    gsn_auto_mem(char) first =
-        gsn_format("%.*s", rest ? (int)(rest - text) : (int)strlen(text), text);
-    double height;
+    PangoLayout *layout =
+        gsn_lettering_layout(paper->letters, GSN_FACE_PLAIN, grid_pt, text, width);
+    PangoAttrList *list = pango_attr_list_new();
+    PangoAttribute *bold = pango_attr_weight_new(PANGO_WEIGHT_BOLD);
+    int height;
 
-    if (!first) {
-        paper->is_bad = 1;
-        return 0;
+    bold->end_index = (guint)strcspn(pango_layout_get_text(layout), "\n");
+    pango_attr_list_insert(list, bold);
+    pango_layout_set_attributes(layout, list);
+    pango_attr_list_unref(list);
+    pango_layout_get_size(layout, NULL, &height);
+    if (y >= 0) {
+        cairo_move_to(paper->cairo, x, y);
+        pango_cairo_show_layout(paper->cairo, layout);
     }
-    height = place_text(paper, GSN_FACE_BOLD, grid_pt, x, y, width, PANGO_ALIGN_LEFT, first);
-    if (rest)
-        height += place_text(paper, GSN_FACE_PLAIN, grid_pt, x, y < 0 ? y : y + height, width,
-                             PANGO_ALIGN_LEFT, rest + 1);
-    return height;
+    g_object_unref(layout);
+    return (double)height / PANGO_SCALE;
 }
 
 void gsn_paper_grid(struct gsn_paper *paper, const struct gsn_paper_cell *cell, size_t count,
@@ -439,7 +442,7 @@ int gsn_paper_finish(struct gsn_paper *paper, uint8_t **ret_bytes, size_t *ret_s
 {
     end_page(paper);
     cairo_surface_finish(paper->surface);
-    if (paper->is_bad)
+    if (paper->is_bad && !paper->file.failed)
         return gsn_fail(err, GSN_E_INPUT, "a picture of the PDF cannot be read");
     if (paper->file.failed || cairo_status(paper->cairo) != CAIRO_STATUS_SUCCESS ||
         cairo_surface_status(paper->surface) != CAIRO_STATUS_SUCCESS)

@@ -31,7 +31,7 @@ struct tag {
 
 /* A cell with what it owns. */
 struct cell {
-    char *text;
+    size_t text; /* where it begins in the walk's part */
     uint8_t *bytes;
     struct gsn_paper_cell shown;
 };
@@ -133,33 +133,42 @@ static void trim(struct gsn_report_text *text)
         text->bytes[--text->size] = '\0';
 }
 
+/* Its memory is kept for the next block. */
+static void empty(struct gsn_report_text *text)
+{
+    text->size = 0;
+    if (text->bytes)
+        text->bytes[0] = '\0';
+}
+
 /* The block is over: a paragraph, or a line of the cell or caption. */
 static void end_block(struct walk *walk)
 {
     struct gsn_report_text *run = &walk->run;
 
+    walk->failed |= run->failed;
     trim(run);
     if (run->size == 0)
         return;
     if (walk->cell_is_open || walk->place == IN_FIGURE) {
-        if (walk->part.size)
+        if (walk->part.size > (walk->cell_is_open ? walk->cell[walk->cell_count - 1].text : 0))
             gsn_report_text_bytes(&walk->part, "\n", 1);
         gsn_report_text_bytes(&walk->part, run->bytes, run->size);
     } else {
         gsn_paper_text(walk->paper, walk->style, run->bytes);
     }
-    walk->failed |= run->failed || walk->part.failed;
-    gsn_report_text_done(run);
+    walk->failed |= walk->part.failed;
+    empty(run);
     walk->style = GSN_PAPER_BODY;
 }
 
-/* gives: the text of the cell or caption; NULL, remembered, when memory runs out. */
+/* gives: the text of the caption; NULL, remembered, when memory runs out. */
 static char *take_part(struct walk *walk)
 {
     char *text = gsn_strdup(walk->part.size ? walk->part.bytes : "");
 
     walk->failed |= !text || walk->part.failed;
-    gsn_report_text_done(&walk->part);
+    empty(&walk->part);
     return text;
 }
 
@@ -233,7 +242,8 @@ static void open_cell(struct walk *walk, int is_head, int is_right)
         walk->cell_room = room;
     }
     walk->cell[walk->cell_count++] =
-        (struct cell){ .shown = { .is_head = is_head, .is_right = is_right } };
+        (struct cell){ .text = walk->part.size,
+                       .shown = { .is_head = is_head, .is_right = is_right } };
     walk->cell_is_open = 1;
 }
 
@@ -242,7 +252,8 @@ static void close_cell(struct walk *walk)
     end_block(walk);
     if (!walk->cell_is_open)
         return;
-    walk->cell[walk->cell_count - 1].text = take_part(walk);
+    gsn_report_text_bytes(&walk->part, "", 1);
+    walk->failed |= walk->part.failed;
     if (walk->spans_two) {
         walk->spans_two = 0;
         open_cell(walk, 0, 0);
@@ -253,10 +264,9 @@ static void close_cell(struct walk *walk)
 
 static void drop_cells(struct walk *walk)
 {
-    for (size_t i = 0; i < walk->cell_count; i++) {
-        gsn_free(walk->cell[i].text);
+    for (size_t i = 0; i < walk->cell_count; i++)
         gsn_free(walk->cell[i].bytes);
-    }
+    empty(&walk->part);
     walk->cell_count = walk->columns = 0;
     walk->has_pictures = 0;
     walk->place = NOWHERE;
@@ -270,7 +280,7 @@ static void set_cells(struct walk *walk)
     if (!walk->failed && walk->cell_count) {
         for (size_t i = 0; i < walk->cell_count; i++) {
             shown[i] = walk->cell[i].shown;
-            shown[i].text = walk->cell[i].text;
+            shown[i].text = walk->part.bytes + walk->cell[i].text;
         }
         if (walk->has_pictures || walk->place == IN_GRID)
             gsn_paper_grid(walk->paper, shown, walk->cell_count,

@@ -341,21 +341,34 @@ int gsn_projection(const struct gsn_spline *spline, const struct gsn_view *view,
     return GSN_OK;
 }
 
-void gsn_axes_paint(struct gsn_image *sheet, int x, int y, const struct gsn_camera *camera)
+int gsn_axes_paint(struct gsn_image *sheet, int x, int y, const struct gsn_camera *camera,
+                   struct gsn_error *err)
 {
     static const struct gsn_colour ink[3] = { { 176, 60, 40 }, { 30, 120, 80 }, { 40, 70, 170 } };
-    const double length = 22, at[2] = { x + 36, y - 36 };
+    const double length = 22, letter_px = 12, at[2] = { x + 36, y - 36 };
+    gsn_auto(gsn_lettering) letters = NULL;
+    int r = gsn_lettering_new(GSN_FONT_FOLDER, &letters, err);
 
-    for (int a = 0; a < 3; a++) {
+    for (int a = 0; r >= 0 && a < 3; a++) {
         const char name[2] = { "xyz"[a], 0 };
         const double right = camera->right[a], down = camera->down[a];
         const double off = 9 / fmax(0.2, hypot(right, down));
         const double tip[2] = { at[0] + length * right, at[1] + length * down };
+        const int wide = gsn_lettering_width(letters, GSN_FACE_BOLD, letter_px, name);
+        const int high = gsn_lettering_height(letters, GSN_FACE_BOLD, letter_px);
+        gsn_auto(gsn_pen) pen = NULL;
 
-        gsn_canvas_line(sheet, at[0], at[1], tip[0], tip[1], 2, ink[a]);
-        gsn_canvas_text(sheet, (int)(tip[0] + off * right) - 2, (int)(tip[1] + off * down) - 3, 1,
-                        name, ink[a]);
+        r = gsn_pen_new(sheet, &pen, err);
+        if (r < 0)
+            return r;
+        gsn_pen_line(pen, at[0], at[1], tip[0], tip[1]);
+        r = gsn_pen_ink(pen, sheet, 2, ink[a], err);
+        if (r >= 0)
+            r = gsn_lettering_draw(letters, sheet, (int)(tip[0] + off * right) - wide / 2,
+                                   (int)(tip[1] + off * down) - high / 2, GSN_FACE_BOLD, letter_px,
+                                   name, ink[a], err);
     }
+    return r;
 }
 
 int gsn_projection_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,
@@ -382,7 +395,9 @@ int gsn_projection_paint(const struct gsn_plane *plane, const struct gsn_camera 
     if (r < 0)
         return r;
     gsn_plate_fill(sheet, x, y, plane, map, plate.low, plate.high);
-    gsn_axes_paint(sheet, x, y + (int)plane->height, camera);
+    r = gsn_axes_paint(sheet, x, y + (int)plane->height, camera, err);
+    if (r < 0)
+        return r;
     *ret_image = gsn_steal(&sheet);
     return GSN_OK;
 }

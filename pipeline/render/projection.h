@@ -24,8 +24,10 @@ int gsn_projection(const struct gsn_spline *spline, const struct gsn_view *view,
                    struct gsn_camera *ret_camera, struct gsn_error *err);
 
 /* Draws the axes of the block as the camera sees them into the lower left corner of a picture, which
- * is at (x, y); an axis that points at the eye is a dot. */
-void gsn_axes_paint(struct gsn_image *sheet, int x, int y, const struct gsn_camera *camera);
+ * is at (x, y); an axis that points at the eye is a dot. Fails with GSN_E_NOMEM, and with
+ * GSN_E_NOTFOUND without the fonts (lettering.h). */
+int gsn_axes_paint(struct gsn_image *sheet, int x, int y, const struct gsn_camera *camera,
+                   struct gsn_error *err);
 
 /* gives: the picture with colour scale ("density x um" unless unit is given), scale bar and title
  * (may be NULL). low == high: 0 to the largest value. Fails with GSN_E_NOMEM. */

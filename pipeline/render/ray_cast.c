@@ -1146,7 +1146,9 @@ int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera
                            (struct gsn_colour){ rgb[0], rgb[1], rgb[2] });
         }
     }
-    gsn_axes_paint(sheet, x, y + (int)picture->height, camera);
+    r = gsn_axes_paint(sheet, x, y + (int)picture->height, camera, err);
+    if (r < 0)
+        return r;
     *ret_image = gsn_steal(&sheet);
     return GSN_OK;
 }

@@ -87,6 +87,7 @@ static void casting_done(struct casting *casting)
 
 /* --- which pixels a tetrahedron or a face may touch --- */
 
+/* A point behind the eye, or nearly so, may have its neighbours anywhere in the picture. */
 static void reach_point(const struct gsn_camera *camera, const double point[3], double low[2],
                         double high[2])
 {
@@ -94,6 +95,11 @@ static void reach_point(const struct gsn_camera *camera, const double point[3], 
 
     gsn_camera_project(camera, point, pixel, &depth);
     for (int c = 0; c < 2; c++) {
+        if (camera->eye_um > 0 && depth < -0.9 * camera->eye_um) {
+            low[c] = -INFINITY;
+            high[c] = INFINITY;
+            continue;
+        }
         low[c] = fmin(low[c], pixel[c]);
         high[c] = fmax(high[c], pixel[c]);
     }

@@ -172,6 +172,45 @@ TEST(a_box_and_planes_cut_exactly_where_they_are)
     check_xray(&quadratic, 2, &view, &clip, left_low, left_high);
 }
 
+/* The camera frames a small box, and the eye stands in the mesh: tetrahedra reach behind it. */
+TEST(an_eye_inside_the_mesh_sees_what_is_before_it)
+{
+    const double from[3] = { 560, 410, 270 }, to[3] = { 640, 490, 330 };
+    struct gsn_view view = oblique(31, 31);
+    const struct gsn_ray_style style = plain(0, 1, 1);
+    const struct gsn_ray_clip clip = { .has_box = 1,
+                                       .low = { from[0], from[1], from[2] },
+                                       .high = { to[0], to[1], to[2] } };
+    double corner[8][3];
+    const struct gsn_tets box = { .vertex_count = 8, .vertex = corner };
+    gsn_auto(gsn_plane) plane = NULL;
+    struct gsn_camera camera;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+    size_t hit = 0;
+
+    for (int i = 0; i < 24; i++)
+        corner[i / 3][i % 3] = i / 3 >> i % 3 & 1 ? to[i % 3] : from[i % 3];
+    view.eye_distance = 2;
+    CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &quadratic, &kuhn, &err), err);
+    CHECK_OK(gsn_camera_frame(&view, &box, &camera, &err), err);
+    CHECK_OK(gsn_ray_xray(kuhn.spline, &camera, &clip, &style, 0, NULL, &plane, &err), err);
+    for (uint32_t j = 0; j < view.height; j++) {
+        for (uint32_t i = 0; i < view.width; i++) {
+            const double value = (double)plane->value[j * view.width + i];
+            double start[3], into[3], in, out;
+
+            line_of(&camera, i + 0.5, j + 0.5, start, into);
+            if (!chord(from, to, start, into, &in, &out))
+                continue;
+            CHECK_NEAR(isnan(value) ? 0 : value, integral(&quadratic, start, into, in, out), 1e-4);
+            hit++;
+        }
+    }
+    CHECK(hit > 100);
+    kuhn_done(&kuhn);
+}
+
 /* In a random spline nothing cancels: the pieces against the recurrence, along segments. */
 TEST(the_pieces_of_a_line_add_up_to_the_segment_integral)
 {

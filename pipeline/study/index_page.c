@@ -39,7 +39,11 @@ static struct scale find_scale(const struct gsn_index_study *study, size_t count
         for (size_t i = 0; i < study[k].input->specimen_count; i++) {
             const struct gsn_study_specimen *const s = &study[k].input->specimen[i];
 
-            scale.used |= isfinite(s->loss) != 0;
+            if (isfinite(s->loss)) {
+                scale.used = 1;
+                scale.low = fmin(scale.low, s->loss);
+                scale.high = fmax(scale.high, s->loss);
+            }
             if (isfinite(s->loss_lower))
                 scale.low = fmin(scale.low, s->loss_lower);
             if (isfinite(s->loss_upper))
@@ -69,7 +73,7 @@ static void draw_interval(struct gsn_report_text *text, const struct scale *scal
                               place_of(scale, s->loss_lower), middle,
                               place_of(scale, s->loss_upper));
     gsn_report_text_print(text, "<circle class=\"m1\" cx=\"%.1f\" cy=\"%.1f\" r=\"3.6\"/></svg>",
-                          place_of(scale, fmin(fmax(s->loss, scale->low), scale->high)), middle);
+                          place_of(scale, s->loss), middle);
 }
 
 static void put_name(struct gsn_report_text *text, const struct gsn_study_specimen *s)

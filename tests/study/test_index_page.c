@@ -68,6 +68,19 @@ TEST(intervals_are_drawn_on_one_scale)
     assert_non_null(strstr(page, "0 to 42 %"));
 }
 
+TEST(a_loss_without_an_interval_stands_on_the_scale_too)
+{
+    struct gsn_study_specimen two[] = { specimen("a", 40), specimen("b", 20) };
+    gsn_auto_mem(char) page = NULL;
+
+    for (int i = 0; i < 2; i++)
+        two[i].loss_lower = two[i].loss_upper = NAN;
+    page = page_of(two, 2, NULL);
+    assert_non_null(strstr(page, "0 to 40 %"));
+    assert_non_null(strstr(page, "cx=\"147.0\""));
+    assert_non_null(strstr(page, "cx=\"75.0\"")); /* halfway */
+}
+
 TEST(what_has_no_figure_needs_a_person_unless_one_left_it_out)
 {
     struct gsn_study_specimen two[] = { specimen("late", NAN), specimen("broken", NAN) };

@@ -87,6 +87,46 @@ static int check_pdf(struct gsn_store *store, const struct gsn_run_row *run, con
     return r;
 }
 
+static void print_region(const json_t *region)
+{
+    const char *const name = json_string_value(json_object_get(region, "name"));
+    const char *const why = json_string_value(json_object_get(region, "withheld"));
+    const json_t *const interval = json_object_get(region, "loss_interval");
+    const json_t *const loss = json_object_get(region, "loss_percent");
+    char said[200] = "no loss", range[80] = "";
+
+    if (json_is_object(interval))
+        (void)snprintf(range, sizeof range, " (%.1f to %.1f)",
+                       json_number_value(json_object_get(interval, "lower")),
+                       json_number_value(json_object_get(interval, "upper")));
+    if (json_is_number(loss))
+        (void)snprintf(said, sizeof said, "loss %.1f %%%s", json_number_value(loss), range);
+    if (json_is_number(json_object_get(region, "mean_density")))
+        gsn_text_line(stdout, "region %s: %s, mean density %.3f, %.4g mm3%s%s", name ? name : "", said,
+                      json_number_value(json_object_get(region, "mean_density")),
+                      json_number_value(json_object_get(region, "volume_mm3")), why ? "; " : "",
+                      why ? why : "");
+    else
+        gsn_text_line(stdout, "region %s: withheld: %s", name ? name : "", why ? why : "");
+}
+
+/* A line a named region of the report. */
+static int print_regions(const char *path, struct gsn_error *err)
+{
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    const json_t *region;
+    json_t *report;
+    size_t size, i;
+    const int r = gsn_file_read(path, MOST_REPORT_BYTES, &bytes, &size, err);
+
+    if (r < 0)
+        return r;
+    report = json_loadb((const char *)bytes, size, 0, NULL);
+    json_array_foreach(json_object_get(report, "regions"), i, region) print_region(region);
+    json_decref(report);
+    return GSN_OK;
+}
+
 int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
 {
     gsn_auto(gsn_store) store = NULL;
@@ -122,7 +162,8 @@ int gsn_cmd_report(const struct gsn_ui *ui, int argc, char **argv)
     (void)printf("%s/%s\n%s\n", gsn_store_dir(store), run->report_path, json);
     if (pdf)
         (void)printf("%s/%s\n", gsn_store_dir(store), pdf);
-    return EX_OK;
+    r = print_regions(json, &err);
+    return r < 0 ? gsn_ui_complain(ui, &err, r) : EX_OK;
 }
 
 /* ---- what a figure rests on ------------------------------------------------------------------ */

@@ -152,6 +152,7 @@ static void add_contents(struct gsn_report_text *text, const struct gsn_report *
 {
     gsn_report_text_raw(text, "<nav aria-label=\"Contents\"><ul>\n");
     add_link(text, "warnings", "Warnings", report->warning_count > 0);
+    add_link(text, "regions", "Regions", report->named_count > 0);
     add_link(text, "volumes", "Volumes", report->volume_count > 0);
     add_link(text, "model", "Model", report->model != NULL);
     add_link(text, "pictures", "Pictures", report->picture_count > 0);
@@ -519,6 +520,7 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
     add_contents(&text, report);
     add_summary(&text, report);
     add_warnings(&text, report);
+    gsn_html_named(&text, report);
     gsn_html_volumes(&text, report);
     gsn_html_viewer(&text, report);
     add_pictures(&text, report);

@@ -54,6 +54,7 @@ void gsn_html_decisions(struct gsn_report_text *text, const struct gsn_report *r
 int gsn_html_has_choices(const struct gsn_report *report);
 
 /* html_tables.c */
+void gsn_html_named(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_tile(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_measures(struct gsn_report_text *text, const struct gsn_report *report);

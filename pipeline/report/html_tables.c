@@ -283,6 +283,65 @@ void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *rep
     gsn_report_text_raw(text, "</section>\n");
 }
 
+/* The loss of a named region and its interval, or why there is none. */
+static void put_named_loss(struct gsn_report_text *text, const struct gsn_report_named *named)
+{
+    if (isfinite(named->loss_percent)) {
+        gsn_report_text_number(text, named->loss_percent, 1);
+        gsn_report_text_raw(text, " %");
+        if (named->loss_interval) {
+            gsn_report_text_raw(text, " (");
+            gsn_report_text_number(text, named->loss_lower, 1);
+            gsn_report_text_raw(text, " to ");
+            gsn_report_text_number(text, named->loss_upper, 1);
+            gsn_report_text_raw(text, ")");
+        }
+        return;
+    }
+    gsn_report_text_escape(text, gsn_html_is_said(named->verdict_reason) ? named->verdict_reason
+                                                                         : named->loss_reason);
+}
+
+void gsn_html_named(struct gsn_report_text *text, const struct gsn_report *report)
+{
+    if (report->named_count == 0)
+        return;
+    gsn_report_text_raw(
+        text, "<section id=\"regions\"><h2>Regions</h2>\n"
+              "<p class=\"lead\">Each as if it were the only one of the job; its own page, which lies "
+              "beside this one, has its cuts, its model and its warnings. A loss is against the "
+              "regions of the same name in the baseline.</p>\n");
+    open_table(text, "figures",
+               "<th>Region</th><th>Laid by</th><th class=\"num\">Volume, mm\xC2\xB3</th>"
+               "<th class=\"num\">With data</th><th class=\"num\">Mean density</th>"
+               "<th class=\"num\">Loss (95 %)</th><th class=\"num\">Warnings</th>");
+    for (size_t i = 0; i < report->named_count; i++) {
+        const struct gsn_report_named *named = &report->named[i];
+
+        gsn_report_text_raw(text, "<tr><td><a href=\"");
+        gsn_report_text_escape(text, named->page);
+        gsn_report_text_raw(text, "\">");
+        gsn_report_text_escape(text, named->name);
+        gsn_report_text_raw(text, "</a></td><td>");
+        gsn_report_text_escape(text, named->region.description);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_digits(text, named->region.volume_mm3, 4);
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        gsn_report_text_number(text, 100 * named->region.coverage, 1);
+        gsn_report_text_raw(text, " %</td><td class=\"num\">");
+        gsn_report_text_number(text, named->region.mean_density, 3);
+        if (isfinite(named->density_error)) {
+            gsn_report_text_raw(text, " \xC2\xB1 ");
+            gsn_report_text_number(text, 1.96 * named->density_error, 3);
+        }
+        gsn_report_text_raw(text, "</td><td class=\"num\">");
+        put_named_loss(text, named);
+        gsn_report_text_print(text, "</td><td class=\"num\">%zu</td></tr>\n", named->warnings);
+    }
+    close_table(text);
+    gsn_report_text_raw(text, "</section>\n");
+}
+
 void gsn_html_tile(struct gsn_report_text *text, const struct gsn_report *report)
 {
     const struct gsn_report_tile *tile = report->tile;

@@ -33,6 +33,51 @@ static json_t *json_region(const struct gsn_report_region *region, struct gsn_js
     return object;
 }
 
+static json_t *json_interval(double percent, double lower, double upper, const char *of,
+                             struct gsn_json_writer *writer)
+{
+    json_t *object;
+
+    if (!of || !isfinite(percent))
+        return json_null();
+    object = json_object();
+    gsn_json_put(writer, object, "lower", gsn_json_figure(lower));
+    gsn_json_put(writer, object, "upper", gsn_json_figure(upper));
+    gsn_json_put(writer, object, "of", gsn_json_text(of));
+    return object;
+}
+
+static json_t *json_named(const struct gsn_report_named *named, struct gsn_json_writer *writer)
+{
+    json_t *object = json_region(&named->region, writer);
+
+    gsn_json_put(writer, object, "name", gsn_json_text(named->name));
+    gsn_json_put(writer, object, "mean_density_error", gsn_json_figure(named->density_error));
+    gsn_json_put(writer, object, "loss_percent", gsn_json_figure(named->loss_percent));
+    gsn_json_put(writer, object, "loss_interval",
+                 json_interval(named->loss_percent, named->loss_lower, named->loss_upper,
+                               named->loss_interval, writer));
+    gsn_json_put(writer, object, "loss_points", gsn_json_figure(named->loss_points));
+    gsn_json_put(writer, object, "loss_reason", gsn_json_text_or_null(named->loss_reason));
+    gsn_json_put(writer, object, "baseline_mean_density", gsn_json_figure(named->baseline_mean));
+    gsn_json_put(writer, object, "baseline_region_volume_mm3",
+                 named->baseline_volume_mm3 > 0 ? gsn_json_figure(named->baseline_volume_mm3)
+                                                : json_null());
+    gsn_json_put(writer, object, "withheld", gsn_json_text_or_null(named->verdict_reason));
+    gsn_json_put(writer, object, "warnings", gsn_json_count(named->warnings));
+    gsn_json_put(writer, object, "report", gsn_json_text(named->page));
+    return object;
+}
+
+static json_t *json_all_named(const struct gsn_report *report, struct gsn_json_writer *writer)
+{
+    json_t *array = json_array();
+
+    for (size_t i = 0; i < report->named_count; i++)
+        gsn_json_append(writer, array, json_named(&report->named[i], writer));
+    return array;
+}
+
 static json_t *json_volumes(const struct gsn_report *report, struct gsn_json_writer *writer)
 {
     json_t *array = json_array();
@@ -405,19 +450,6 @@ static json_t *provenance_of(const struct gsn_report *report, struct gsn_json_wr
     return object;
 }
 
-static json_t *interval_of(const struct gsn_report *report, struct gsn_json_writer *writer)
-{
-    json_t *object;
-
-    if (!report->loss_interval || !isfinite(report->loss_percent))
-        return json_null();
-    object = json_object();
-    gsn_json_put(writer, object, "lower", gsn_json_figure(report->loss_lower));
-    gsn_json_put(writer, object, "upper", gsn_json_figure(report->loss_upper));
-    gsn_json_put(writer, object, "of", gsn_json_text(report->loss_interval));
-    return object;
-}
-
 static void put_head(const struct gsn_report *report, json_t *root, struct gsn_json_writer *writer)
 {
     json_t *density = json_object();
@@ -438,7 +470,8 @@ static void put_head(const struct gsn_report *report, json_t *root, struct gsn_j
                                                  : json_null());
     gsn_json_put(writer, root, "zero_density", gsn_json_figure(report->zero_density));
     gsn_json_put(writer, root, "loss_percent", gsn_json_figure(report->loss_percent));
-    gsn_json_put(writer, root, "loss_interval", interval_of(report, writer));
+    gsn_json_put(writer, root, "loss_interval", json_interval(report->loss_percent, report->loss_lower, report->loss_upper,
+                               report->loss_interval, writer));
     gsn_json_put(writer, root, "loss_points", gsn_json_figure(report->loss_points));
     gsn_json_put(writer, root, "loss_reason", gsn_json_text_or_null(report->loss_reason));
     gsn_json_put(writer, density, "name", gsn_json_text(report->density_name));
@@ -463,6 +496,8 @@ static json_t *build_json(const struct gsn_report *report, struct gsn_json_write
 
     put_head(report, root, writer);
     gsn_json_put(writer, root, "region", json_region(&report->region, writer));
+    if (report->named_count > 0)
+        gsn_json_put(writer, root, "regions", json_all_named(report, writer));
     gsn_json_put(writer, root, "volumes", json_volumes(report, writer));
     gsn_json_put(writer, root, "sections", json_sections(report, writer));
     gsn_json_put(writer, root, "panels", panels_of(report, writer));

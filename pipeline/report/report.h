@@ -45,6 +45,19 @@ struct gsn_report_region {
     const char *description; /* how it is laid, or the mask's file name */
 };
 
+/* A region that is measured beside the main one; what is not known is NaN or NULL. */
+struct gsn_report_named {
+    const char *name;
+    struct gsn_report_region region;
+    double density_error; /* standard error of the mean density, by stain and white */
+    double loss_percent, loss_lower, loss_upper, loss_points;
+    const char *loss_interval, *loss_reason; /* as of the report */
+    double baseline_mean, baseline_volume_mm3;
+    const char *verdict_reason; /* why its figures are withheld; NULL: they are not */
+    size_t warnings;            /* of its own report */
+    const char *page;           /* which lies beside this one */
+};
+
 /* The volume of {s > threshold} in the region, s being the fitted model, lies between these two:
  * they are guaranteed for the model, and say nothing of how far it is from the tissue. */
 struct gsn_report_volume {
@@ -218,6 +231,8 @@ struct gsn_report {
     struct gsn_report_value area_figure; /* the area figure with its own name and unit */
 
     struct gsn_report_region region;
+    const struct gsn_report_named *named; /* named_count further regions */
+    size_t named_count;
     const struct gsn_report_volume *volumes;
     size_t volume_count;
     const struct gsn_report_section *sections; /* every slot, in serial order */

@@ -192,7 +192,8 @@ static int read_limits(const json_t *band, struct gsn_region *region)
     return 0;
 }
 
-static int read_band(const json_t *band, struct gsn_region *region, struct gsn_error *err)
+static int read_band(const json_t *band, const char *key, struct gsn_region *region,
+                     struct gsn_error *err)
 {
     const json_t *from = json_object_get(band, "from");
     const json_t *low = json_object_get(band, "low_um"), *high = json_object_get(band, "high_um");
@@ -203,7 +204,7 @@ static int read_band(const json_t *band, struct gsn_region *region, struct gsn_e
     if (!json_is_string(from) || !json_string_value(from)[0] || !json_is_number(low) ||
         !json_is_number(high) || !(region->low_um < region->high_um) || !isfinite(region->low_um) ||
         !isfinite(region->high_um) || read_limits(band, region) < 0)
-        return refuse_value(err, "region", BAND);
+        return refuse_value(err, key, BAND);
     for (enum gsn_tissue_kind k = GSN_TISSUE_ROOT; k < GSN_TISSUE_BODIES; k++)
         if (strcmp(json_string_value(from), gsn_tissue_name(k)) == 0) {
             region->from = k;
@@ -212,26 +213,83 @@ static int read_band(const json_t *band, struct gsn_region *region, struct gsn_e
     return read_text(band, "from", &region->file, err);
 }
 
-/* Reads the key "region" of a job; region is left alone when it is absent. gives:
+/* Reads a region under its key; region is left alone when it is absent. gives:
  * region->file. Fails with GSN_E_INPUT, GSN_E_NOMEM. */
-static int read_region(const json_t *job, struct gsn_region *region, struct gsn_error *err)
+static int read_region(const json_t *job, const char *key, struct gsn_region *region,
+                       struct gsn_error *err)
 {
-    const json_t *stated = json_object_get(job, "region");
+    const json_t *stated = json_object_get(job, key);
     const json_t *kind = json_object_get(stated, "kind");
 
     if (!stated)
         return GSN_OK;
     if (json_is_string(stated)) {
         region->kind = GSN_REGION_MASK;
-        return read_text(job, "region", &region->file, err);
+        return read_text(job, key, &region->file, err);
     }
     if (!json_is_object(stated))
-        return refuse_value(err, "region", "the name of a mask file or a shape");
+        return refuse_value(err, key, "the name of a mask file or a shape");
     if (kind && !(json_is_string(kind) && strcmp(json_string_value(kind), "band") == 0))
-        return refuse_value(err, "region", BAND);
+        return refuse_value(err, key, BAND);
     if (kind)
-        return read_band(stated, region, err);
-    return read_shape(stated, "region", region, err);
+        return read_band(stated, key, region, err);
+    return read_shape(stated, key, region, err);
+}
+
+/* What may be part of a file's name and of a figure's. */
+static int is_region_name(const char *name)
+{
+    const size_t length = strlen(name);
+
+    return length >= 1 && length <= 40 &&
+           strspn(name, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_") == length;
+}
+
+/* Regions beside the main one. */
+static int read_named(const json_t *job, struct gsn_protocol *p, struct gsn_error *err)
+{
+    const json_t *stated = json_object_get(job, "regions");
+    void *at = json_object_iter((json_t *)(uintptr_t)stated);
+    int r = GSN_OK;
+
+    if (!stated)
+        return GSN_OK;
+    if (!json_is_object(stated) || json_object_size(stated) > GSN_MOST_REGIONS)
+        return gsn_fail(err, GSN_E_INPUT,
+                        "job.json: \"regions\" must be {\"a name\": a region, ...}, at most %d, "
+                        "each as \"region\" is stated",
+                        GSN_MOST_REGIONS);
+    p->named = gsn_alloc_array(json_object_size(stated) + 1, sizeof *p->named);
+    if (!p->named)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
+    for (; r >= 0 && at; at = json_object_iter_next((json_t *)(uintptr_t)stated, at)) {
+        struct gsn_protocol_region *one = &p->named[p->named_count];
+        const char *name = json_object_iter_key(at);
+
+        if (!is_region_name(name))
+            return gsn_fail(err, GSN_E_INPUT,
+                            "job.json: \"regions\": \"%.60s\" is no name of a region: 1 to 40 "
+                            "letters, digits, - and _",
+                            name);
+        one->name = gsn_strdup(name);
+        p->named_count++;
+        r = one->name ? read_region(stated, name, &one->region, err)
+                      : gsn_fail(err, GSN_E_NOMEM, "out of memory reading job.json");
+    }
+    return r;
+}
+
+/* What the main region is not, the others are not beside. */
+static int check_named(const struct gsn_protocol *p, struct gsn_error *err)
+{
+    if (p->named_count == 0)
+        return GSN_OK;
+    if (p->kind == GSN_KIND_TILE)
+        return refuse_value(err, "regions", "left out: a tile is one picture");
+    if (p->kind == GSN_KIND_SECTIONS && p->region.kind == GSN_REGION_NONE)
+        return refuse_value(err, "regions",
+                            "beside \"region\", which is the main one: state that too");
+    return GSN_OK;
 }
 
 /* ---- calibration panels -------------------------------------------------------------------- */
@@ -573,8 +631,10 @@ static int read_registration(const json_t *job, struct gsn_protocol *p, struct g
  * shifted: coordinates say nothing without the section that they were taken from. */
 static int check_frame(const struct gsn_protocol *p, struct gsn_error *err)
 {
-    const int region = gsn_region_has_coordinates(&p->region);
+    int region = gsn_region_has_coordinates(&p->region);
 
+    for (size_t i = 0; i < p->named_count; i++)
+        region |= gsn_region_has_coordinates(&p->named[i].region);
     if (p->registration != GSN_PROTOCOL_TISSUE || p->frame_panel > 0 ||
         (!region && !gsn_region_has_coordinates(&p->reference_tissue)))
         return GSN_OK;
@@ -691,6 +751,7 @@ static const char *meant_by_beginning(const char *key)
         { "spacing", "interval_um" },
         { "distance", "interval_um" },
         { "thickness", "interval_um" },
+        { "rois", "regions" },
         { "roi", "region" },
         { "mask", "region" },
         { "control", "baseline" },
@@ -724,7 +785,8 @@ static int note_unknown_keys(const json_t *job, struct gsn_protocol *p, struct g
         "region",    "markers_um",  "baseline",     "transfer", "dyes",          "white",
         "kind",      "thresholds",  "tolerance",    "file",     "reference",     "batch",
         "comment",   "strain",      "stained",      "scanned",  "yellow_to_red", "level",
-        "target_um", "calibration", "registration", "frame",    "spacing_unit",  "collagen_free"
+        "target_um", "calibration", "registration", "frame",    "spacing_unit",  "collagen_free",
+        "regions"
     };
     const size_t count = sizeof known / sizeof known[0];
     void *at = json_object_iter((json_t *)(uintptr_t)job);
@@ -775,7 +837,8 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = read_count(job, "panels", MOST_PANELS, &p->panels, err)) < 0 ||
         (r = read_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||
         (r = read_layout(job, p, err)) < 0 || (r = read_markers(job, p, err)) < 0 ||
-        (r = read_thresholds(job, p, err)) < 0 || (r = read_region(job, &p->region, err)) < 0 ||
+        (r = read_thresholds(job, p, err)) < 0 || (r = read_region(job, "region", &p->region, err)) < 0 ||
+        (r = read_named(job, p, err)) < 0 ||
         (r = read_strain(job, p, err)) < 0 || (r = read_registration(job, p, err)) < 0 ||
         (r = read_light(job, p, err)) < 0 || (r = read_stain(job, p, err)) < 0)
         return r;
@@ -787,6 +850,8 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         r = read_collagen_free(job, p, err);
     if (r >= 0)
         r = read_calibration(job, p, err);
+    if (r >= 0)
+        r = check_named(p, err);
     if (r >= 0)
         r = check_frame(p, err);
     if (r < 0)
@@ -853,6 +918,11 @@ void gsn_protocol_free(struct gsn_protocol *p)
     gsn_free(p->scanned);
     gsn_free(p->unknown);
     gsn_free(p->region.file);
+    for (size_t i = 0; i < p->named_count; i++) {
+        gsn_free(p->named[i].name);
+        gsn_free(p->named[i].region.file);
+    }
+    gsn_free(p->named);
     gsn_free(p);
 }
 

@@ -39,6 +39,16 @@ gsn_protocol_calibration_of(const struct gsn_protocol_calibration *calibrations,
 /* Whether it holds standards of a known density. */
 int gsn_protocol_calibration_has_standards(const struct gsn_protocol_calibration *calibration);
 
+/* ---- regions that are measured beside the main one ---- */
+
+enum { GSN_MOST_REGIONS = 8 };
+
+/* name: 1 to 40 letters, digits, - and _ of ASCII. */
+struct gsn_protocol_region {
+    char *name; /* owned */
+    struct gsn_region region;
+};
+
 enum gsn_kind { GSN_KIND_SECTIONS, GSN_KIND_VOLUME, GSN_KIND_TILE };
 
 enum gsn_protocol_order { GSN_PROTOCOL_ROW, GSN_PROTOCOL_COLUMN, GSN_PROTOCOL_SNAKE };
@@ -88,6 +98,8 @@ struct gsn_protocol {
     unsigned frame_panel, frame_slot; /* the section whose panel's picture is the block frame, both
                                          1-based; 0: not stated, or not by tissue alone */
     struct gsn_region region;
+    size_t named_count; /* at most GSN_MOST_REGIONS; 0 for a tile */
+    struct gsn_protocol_region *named; /* owned, in the order of the job; NULL when there is none */
     struct gsn_region reference_tissue; /* a shape; GSN_REGION_NONE: the stain is not normalised */
     struct gsn_region collagen_free;    /* a shape of tissue that holds none; NONE: not stated */
     double reference_density;           /* what that tissue's density is taken to be */

@@ -358,7 +358,9 @@ static void fill_head(const struct gsn_report_inputs *e, struct gsn_builder *d)
     const struct gsn_protocol *p = e->specimen->protocol;
     struct gsn_report *r = &d->report;
 
-    r->specimen = p->specimen;
+    r->specimen = e->specimen->part
+                      ? gsn_builder_say(d, "%s, region %s", p->specimen, e->specimen->part)
+                      : p->specimen;
     r->study = p->study;
     r->group = p->group;
     r->animal = p->animal;
@@ -378,6 +380,41 @@ static void fill_head(const struct gsn_report_inputs *e, struct gsn_builder *d)
                                                  .size = e->specimen->input[i].size };
     r->inputs = d->input;
     r->input_count = e->specimen->input_count;
+}
+
+/* Each named region as its own report has it, and where that has no figure. */
+static void fill_named(const struct gsn_report_inputs *e, const struct gsn_specimen_result *result,
+                       struct gsn_builder *d)
+{
+    for (size_t i = 0; i < result->part_count; i++) {
+        const struct gsn_specimen_result *part = result->part[i];
+        const char *name = e->specimen->protocol->named[i].name;
+        const struct gsn_specimen_measure *loss = NULL;
+
+        d->named[i] = (struct gsn_report_named){
+            .name = name,
+            .region = { .volume_mm3 = gsn_specimen_result_measure(part, "region_volume", NULL),
+                        .mean_density = gsn_specimen_result_measure(part, "mean_density", NULL),
+                        .coverage = gsn_specimen_result_measure(part, "coverage", NULL),
+                        .description = part->region },
+            .density_error = gsn_specimen_result_measure(part, "mean_density_error", NULL),
+            .loss_percent = gsn_specimen_result_measure(part, "loss", &loss),
+            .loss_points = gsn_specimen_result_measure(part, "loss_points", NULL),
+            .loss_lower = loss ? loss->lower : (double)NAN,
+            .loss_upper = loss ? loss->upper : (double)NAN,
+            .loss_interval = part->loss_interval,
+            .loss_reason = part->loss_reason,
+            .baseline_mean = part->baseline_mean,
+            .baseline_volume_mm3 = part->baseline_volume_mm3,
+            .verdict_reason = part->withheld ? part->message : NULL,
+            .warnings = part->warning_count,
+            .page = gsn_builder_say(d, "region-%s.html", name),
+        };
+        if (part->withheld)
+            gsn_builder_warn(d, gsn_builder_say(d, "region %s: %s", name, part->message));
+    }
+    d->report.named = d->named;
+    d->report.named_count = result->part_count;
 }
 
 /* ---- verdict and bytes ------------------------------------------------------------------- */
@@ -494,6 +531,12 @@ static int write_report(const struct gsn_report_inputs *e, struct gsn_builder *d
     (void)snprintf(result->dyes, sizeof result->dyes, "%s", r->density_version);
     (void)snprintf(result->region, sizeof result->region, "%s",
                    r->region.description ? r->region.description : "");
+    (void)snprintf(result->loss_reason, sizeof result->loss_reason, "%s",
+                   r->loss_reason ? r->loss_reason : "");
+    result->loss_interval = r->loss_interval;
+    result->baseline_mean = r->baseline_mean;
+    result->baseline_volume_mm3 = r->baseline_volume_mm3;
+    result->warning_count = r->warning_count;
     keep_measures(e, d, result);
     return GSN_OK;
 }
@@ -511,7 +554,7 @@ static int add_pdf(const struct gsn_builder *d, struct gsn_specimen_result *resu
     r = gsn_report_pdf(&d->report, &file->bytes, &file->size, err);
     if (r < 0)
         return r;
-    file->name = "report.pdf";
+    (void)snprintf(file->name, sizeof file->name, "report.pdf");
     result->file_count++;
     return GSN_OK;
 }
@@ -566,9 +609,10 @@ int gsn_report_build(const struct gsn_report_inputs *e, struct gsn_specimen_resu
         gsn_builder_check_volumes(e, &d);
     gsn_builder_vectors(e, &d);
     gsn_builder_parameters(e, &d);
+    fill_named(e, result, &d);
     judge_verdict(e, &d);
     r = fill_outputs(result, &d, err);
-    if (r >= 0)
+    if (r >= 0 && !e->specimen->part)
         r = add_pdf(&d, result, err);
     if (r >= 0)
         r = fill_outputs(result, &d, err);

@@ -75,6 +75,7 @@ struct gsn_builder {
     struct gsn_report_volume volume[GSN_ANALYSIS_THRESHOLDS];
     struct gsn_report_picture picture[GSN_ANALYSIS_PICTURES];
     struct gsn_report_value measure[GSN_BUILDER_ROWS], parameter[GSN_BUILDER_ROWS];
+    struct gsn_report_named named[GSN_MOST_REGIONS];
     struct gsn_report_input *input, output[GSN_SPECIMEN_FILES];
     struct gsn_digest output_is[GSN_SPECIMEN_FILES];
     struct gsn_report_registration registration;

@@ -600,8 +600,15 @@ static const char *too_little_of_baseline(const struct gsn_specimen_baseline *b,
 static const struct gsn_builder_cost no_loss = { .points = INFINITY };
 
 /* Why the baseline gives nothing to compare with. */
-static const char *no_baseline(const struct gsn_specimen_baseline *b, struct gsn_builder *d)
+static const char *no_baseline(const struct gsn_report_inputs *e, struct gsn_builder *d)
 {
+    const struct gsn_specimen_baseline *b = &e->specimen->baseline;
+
+    if (b->lacking > 0)
+        return gsn_builder_say(d,
+                               "the baseline %s has no region \"%s\": state it under \"regions\" in "
+                               "its job.json too, import it with --replace, then run again",
+                               b->name, e->specimen->part);
     if (b->withheld == 0)
         return gsn_builder_say(d, "the baseline %s has no result yet: import and run it", b->name);
     return gsn_builder_say(
@@ -661,7 +668,7 @@ static const char *nothing_beside(const struct gsn_report_inputs *e, struct gsn_
     if (b->specimens > 0)
         return NULL;
     known = too_little_known(e, d);
-    none = no_baseline(b, d);
+    none = no_baseline(e, d);
     gsn_builder_warn_cost(d, no_loss, none);
     /* With a baseline it would be withheld just the same. */
     return known ? gsn_builder_say(d, "%s; %s", known, none) : none;

@@ -11,7 +11,8 @@
  * A stage that fails for what the specimen is (too few marks, too little of the region seen, a
  * stain that cannot be read) does not end the run: its sentence becomes the reason why the report
  * has no figure. A stage that fails for the machine (memory, disk, a process) ends it. The caller
- * brings bytes and rows and keeps the result: this file knows no store. Most of the time is spent
+ * brings bytes and rows and keeps the result: this file knows no store. Each named region is the same
+ * specimen once more with that region alone, so its figures are those of a job that has no other. Most of the time is spent
  * in the density stack (decoding, masks) and in the fit. */
 #include "pipeline/specimen/specimen.h"
 
@@ -27,6 +28,7 @@
 #include "pipeline/stain/hue_distribution.h"
 #include "pipeline/stain/normalisation.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -68,7 +70,7 @@ static int keep_poses(const struct gsn_reconstruction *a, struct gsn_specimen_re
 /* Makes room for one more file; the caller fills in its bytes. */
 static struct gsn_specimen_file *add_file(struct gsn_specimen_result *result, const char *name)
 {
-    result->file[result->file_count].name = name;
+    (void)snprintf(result->file[result->file_count].name, sizeof result->file[0].name, "%s", name);
     return &result->file[result->file_count++];
 }
 
@@ -139,7 +141,7 @@ static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask
                                       .residual = analysis->fit.tet_rms,
                                       .samples = analysis->fit.tet_samples };
     r = pack_model(analysis, &cells, region, threads, ret_page, err);
-    if (r < 0)
+    if (r < 0 || specimen->part)
         return r;
     parameters = gsn_format("{\"key\": \"%s\", \"tolerance\": %.9g, \"smoothing\": %.9g, "
                             "\"rms_residual\": %.9g}",
@@ -283,7 +285,8 @@ static int process_sections(const struct gsn_specimen *specimen,
         return r;
     if (stack && (r = keep_poses(stack, result, err)) < 0)
         return r;
-    if (stack && stack->densities.grid && (r = keep_colour(stack, result, err)) < 0)
+    if (stack && stack->densities.grid && !specimen->part &&
+        (r = keep_colour(stack, result, err)) < 0)
         return r;
     r = keep_model(analysis, stack ? stack->region : NULL, specimen, options->threads, result, &page,
                    err);
@@ -369,15 +372,53 @@ static int process_tile(const struct gsn_specimen *specimen,
     return gsn_report_build(&inputs, result, err);
 }
 
+static int process_named(const struct gsn_specimen *specimen,
+                         const struct gsn_specimen_options *options, size_t number,
+                         struct gsn_specimen_result *result, struct gsn_error *err)
+{
+    const struct gsn_protocol_region *named = &specimen->protocol->named[number];
+    struct gsn_protocol protocol = *specimen->protocol;
+    struct gsn_specimen alone = *specimen;
+    gsn_auto(gsn_specimen_result) part = NULL;
+    char name[sizeof result->file[0].name];
+    struct gsn_specimen_file *file;
+    int r;
+
+    protocol.region = named->region;
+    protocol.named_count = 0;
+    alone.protocol = &protocol;
+    alone.part = named->name;
+    alone.region = specimen->named[number].mask;
+    alone.baseline = specimen->named[number].baseline;
+    r = gsn_specimen_process(&alone, options, &part, err);
+    if (r < 0)
+        return r;
+    (void)snprintf(name, sizeof name, "region-%s.html", named->name);
+    file = add_file(result, name);
+    file->bytes = (uint8_t *)gsn_steal(&part->html);
+    file->size = part->html_size;
+    (void)snprintf(name, sizeof name, "region-%s.json", named->name);
+    file = add_file(result, name);
+    file->bytes = (uint8_t *)gsn_steal(&part->json);
+    file->size = part->json_size;
+    (void)snprintf(part->name, sizeof part->name, "%s", named->name);
+    result->part[result->part_count++] = gsn_steal(&part);
+    return GSN_OK;
+}
+
 int gsn_specimen_process(const struct gsn_specimen *specimen,
                          const struct gsn_specimen_options *options,
                          struct gsn_specimen_result **ret_result, struct gsn_error *err)
 {
     gsn_auto(gsn_specimen_result) result = gsn_alloc_array(1, sizeof *result);
-    int r;
+    int r = GSN_OK;
 
     if (!result)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the result of a specimen");
+    for (size_t i = 0; r >= 0 && i < specimen->protocol->named_count; i++)
+        r = process_named(specimen, options, i, result, err);
+    if (r < 0)
+        return r;
     switch (specimen->protocol->kind) {
     case GSN_KIND_VOLUME:
         r = process_volume(specimen, options, result, err);
@@ -394,6 +435,18 @@ int gsn_specimen_process(const struct gsn_specimen *specimen,
     return GSN_OK;
 }
 
+double gsn_specimen_result_measure(const struct gsn_specimen_result *result, const char *name,
+                                   const struct gsn_specimen_measure **ret_row)
+{
+    for (size_t i = 0; i < result->measure_count; i++)
+        if (strcmp(result->measure[i].name, name) == 0) {
+            if (ret_row)
+                *ret_row = &result->measure[i];
+            return result->measure[i].value;
+        }
+    return NAN;
+}
+
 void gsn_specimen_result_free(struct gsn_specimen_result *result)
 {
     if (!result)
@@ -402,6 +455,8 @@ void gsn_specimen_result_free(struct gsn_specimen_result *result)
     gsn_free(result->html);
     for (size_t i = 0; i < result->file_count; i++)
         gsn_free(result->file[i].bytes);
+    for (size_t i = 0; i < result->part_count; i++)
+        gsn_specimen_result_free(result->part[i]);
     gsn_free(result->pose);
     gsn_free(result->candidates);
     gsn_free(result->stain);

@@ -62,6 +62,7 @@ struct gsn_specimen_baseline {
     const char *name;
     size_t specimens; /* with a result; more than one for a group; 0: none yet */
     size_t withheld;  /* that were run and have no figure */
+    size_t lacking;   /* of those: that state no region of the name that is asked for */
     double mean_density, volume_mm3;
     double mean_density_error; /* standard error of the mean by stain and white; 0: not known */
     double own_scale_error;    /* that without what its stain as a whole may be off by */
@@ -79,11 +80,19 @@ struct gsn_specimen_baseline {
     const char *page;   /* a link from this run's folder to its last report; NULL: a group */
 };
 
+/* One of the protocol's named regions. */
+struct gsn_specimen_region {
+    const struct gsn_mask *mask; /* of a mask file, or NULL */
+    struct gsn_specimen_baseline baseline; /* of the regions of that name */
+};
+
 struct gsn_specimen {
     const struct gsn_protocol *protocol;
     size_t panel_count;
     const struct gsn_specimen_panel *panel; /* in order of number */
     const struct gsn_mask *region;          /* of a mask file, or NULL */
+    const struct gsn_specimen_region *named; /* as many as the protocol names, in its order */
+    const char *part; /* the name of the region that this is one of; NULL: the specimen itself */
     const struct gsn_grid *volume;          /* kind volume */
     const char *picture_sha256;             /* kind tile */
     const char *reference_sha256;           /* kind tile, may be NULL */
@@ -134,15 +143,16 @@ struct gsn_specimen_measure {
 };
 
 /* A file that is kept beside the report: "colour.nrrd", the stack in true colour (sections),
- * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit), and "report.pdf",
- * the page on paper. */
+ * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit), "report.pdf",
+ * the page on paper, and of each named
+ * region "region-NAME.html" and "region-NAME.json", the report of a job that had it alone. */
 struct gsn_specimen_file {
-    const char *name;
+    char name[64];
     uint8_t *bytes; /* owned */
     size_t size;
 };
 
-enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 3 };
+enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 3 + 2 * GSN_MOST_REGIONS };
 
 struct gsn_specimen_result {
     int withheld;      /* 1: no figure could be given, the report says why */
@@ -161,7 +171,22 @@ struct gsn_specimen_result {
     struct gsn_specimen_control colours; /* for those whose baseline it is; cloud owned */
     size_t measure_count;
     struct gsn_specimen_measure measure[GSN_SPECIMEN_MEASURES];
+    /* What its report says of the loss. */
+    char loss_reason[480];
+    const char *loss_interval; /* literal; NULL: none is known */
+    double baseline_mean, baseline_volume_mm3;
+    size_t warning_count;
+    char name[44];     /* of the named region that it is of; empty: of the main one */
+    size_t part_count; /* named regions, in the protocol's order */
+    struct gsn_specimen_result *part[GSN_MOST_REGIONS]; /* owned; without files, html and json */
 };
+
+/* The value of a measure of the result, or NaN; ret_row: or NULL. */
+double gsn_specimen_result_measure(const struct gsn_specimen_result *result, const char *name,
+                                   const struct gsn_specimen_measure **ret_row);
+
+/* Between the name of a region and that of a measure of it, where a store has both in one. */
+enum { GSN_SPECIMEN_IN_REGION = '/' };
 
 /* The measure by which a tissue's density is handed on: its value, and 95 % to either side. */
 const char *gsn_specimen_tissue_measure(unsigned tissue);

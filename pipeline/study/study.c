@@ -8,7 +8,7 @@
  * interval. 4. Each cell of a treated group is compared with its control at the same time point,
  * or with the control of all time points where there is none; treated groups are compared with each
  * other at each time point. 5. Welch's p is corrected by Holm over all comparisons of one kind and
- * measure. 6. The variance of a loss is split into what animals differ by and what measuring them
+ * measure, those of further regions among them. 6. The variance of a loss is split into what animals differ by and what measuring them
  * adds: the spread seen between animals holds both, so the animals' own is what is left, or none.
  *
  * Failure: groups without animals, animals without spread and measures that nobody has leave NaN.
@@ -27,6 +27,9 @@ void gsn_study_free(struct gsn_study *study)
     gsn_free(study->animal);
     gsn_free(study->cell);
     gsn_free(study->comparison);
+    for (size_t i = 0; i < study->part_count; i++)
+        gsn_study_free(study->part[i]);
+    gsn_free(study->part);
     gsn_free(study);
 }
 
@@ -368,19 +371,59 @@ static int add_treatments(struct gsn_study *study, struct sides *sides, struct g
     return r;
 }
 
-/* p: room for as many as there are comparisons. */
-static void correct_p(struct gsn_study *study, enum gsn_study_kind kind, size_t measure, double *p)
+/* The comparisons of one kind and measure, of this region and of its parts: their p into the list (back:
+ * out of it again). Returns how many. */
+static size_t pass_p(struct gsn_study *study, enum gsn_study_kind kind, size_t measure, int back,
+                     double *p)
 {
     size_t n = 0;
 
-    for (size_t i = 0; i < study->comparison_count; i++)
-        if (study->comparison[i].kind == kind && study->comparison[i].measure == measure)
-            p[n++] = study->comparison[i].difference.p;
-    gsn_holm(p, n);
-    n = 0;
-    for (size_t i = 0; i < study->comparison_count; i++)
-        if (study->comparison[i].kind == kind && study->comparison[i].measure == measure)
-            study->comparison[i].p_holm = p[n++];
+    for (size_t i = 0; i < study->comparison_count; i++) {
+        struct gsn_study_comparison *const c = &study->comparison[i];
+
+        if (c->kind != kind || c->measure != measure)
+            continue;
+        if (back)
+            c->p_holm = p[n++];
+        else
+            p[n++] = c->difference.p;
+    }
+    for (size_t k = 0; k < study->part_count; k++)
+        n += pass_p(study->part[k], kind, measure, back, p + n);
+    return n;
+}
+
+static int correct_p(struct gsn_study *study, struct gsn_error *err)
+{
+    size_t most = study->comparison_count + 1;
+    gsn_auto_mem(double) p = NULL;
+
+    for (size_t k = 0; k < study->part_count; k++)
+        most += study->part[k]->comparison_count;
+    p = gsn_alloc_array(most, sizeof *p);
+    if (!p)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a study");
+    for (size_t m = 0; m < study->input.measure_count; m++)
+        for (int kind = GSN_STUDY_LOSS; kind <= GSN_STUDY_TREATMENT; kind++) {
+            gsn_holm(p, pass_p(study, (enum gsn_study_kind)kind, m, 0, p));
+            (void)pass_p(study, (enum gsn_study_kind)kind, m, 1, p);
+        }
+    return GSN_OK;
+}
+
+static int analyse_parts(struct gsn_study *study, struct gsn_error *err)
+{
+    const struct gsn_study_input *const input = &study->input;
+    int r = GSN_OK;
+
+    study->part = gsn_alloc_array(input->part_count + 1, sizeof *study->part);
+    if (!study->part)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a study");
+    for (size_t k = 0; r >= 0 && k < input->part_count; k++) {
+        r = gsn_study_analyse(&input->part[k], &study->part[k], err);
+        study->part_count += r >= 0;
+    }
+    return r;
 }
 
 static int compare_groups(struct gsn_study *study, struct gsn_error *err)
@@ -398,10 +441,6 @@ static int compare_groups(struct gsn_study *study, struct gsn_error *err)
     r = add_losses(study, &sides, err);
     if (r >= 0)
         r = add_treatments(study, &sides, err);
-    for (size_t m = 0; r >= 0 && m < study->input.measure_count; m++) {
-        correct_p(study, GSN_STUDY_LOSS, m, a);
-        correct_p(study, GSN_STUDY_TREATMENT, m, a);
-    }
     return r;
 }
 
@@ -430,6 +469,10 @@ int gsn_study_analyse(const struct gsn_study_input *input, struct gsn_study **re
     gather_animals(study, sorted, count);
     study->shared_animals = count_shared_animals(study);
     r = compare_groups(study, err);
+    if (r >= 0)
+        r = analyse_parts(study, err);
+    if (r >= 0)
+        r = correct_p(study, err);
     if (r >= 0)
         *ret_study = gsn_steal(&study);
     return r;

@@ -68,6 +68,10 @@ struct gsn_study_input {
     size_t specimen_count;
     int blind;          /* group names are codes, nobody is a control */
     const char *frozen; /* "2026-11-25, by mueller", or NULL */
+    const struct gsn_study_input *part; /* the same study in further regions, each with the name of its
+                                           region; without parts; their measures are the first of
+                                           this one's */
+    size_t part_count;
 };
 
 /* An animal in a group at a time point: the mean of its specimens that take part. */
@@ -121,7 +125,7 @@ struct gsn_study_comparison {
     struct gsn_group_loss loss; /* NaN for kind TREATMENT */
     double p_exact;             /* permutation; NaN: too few or too many animals */
     double p_least;             /* that permutation could reach */
-    double p_holm;              /* Welch's p, corrected over all comparisons of kind and measure */
+    double p_holm; /* Welch's p, corrected over all comparisons of kind and measure, of all regions */
     struct gsn_study_budget budget;
 };
 
@@ -134,6 +138,8 @@ struct gsn_study {
     struct gsn_study_comparison *comparison;
     size_t comparison_count;
     size_t shared_animals; /* names that occur in several groups: then groups are not independent */
+    struct gsn_study **part; /* owned: the parts of the input, in its order */
+    size_t part_count;
 };
 
 void gsn_study_free(struct gsn_study *study);
@@ -151,7 +157,7 @@ void gsn_study_allows(const struct gsn_study_comparison *comparison, char *text,
 
 /* give: bytes, with a zero behind that is not counted. The same study gives the same bytes. Fail
  * with GSN_E_NOMEM. */
-/* One row an animal and measure, RFC 4180, names in the first line; docs/user/study.md. */
+/* One row an animal, region and measure, RFC 4180, names in the first line; docs/user/study.md. */
 int gsn_study_csv(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
                   struct gsn_error *err);
 /* "gieson-study-1", docs/user/study.md. */

@@ -373,6 +373,29 @@ static void add_comparisons(struct gsn_report_text *text, const struct gsn_study
     close_table(text);
 }
 
+/* The densities of a further region. */
+static void add_part(struct gsn_report_text *text, const struct gsn_study *part)
+{
+    static const char *const heads[] = { "Comparison", "Animals", "Loss",        "Difference",
+                                         "Welch p",    "Holm p",  "Permutation", "Hedges' g" };
+    size_t left_out = 0;
+
+    for (size_t i = 0; i < part->input.specimen_count; i++)
+        left_out += part->input.specimen[i].left_out != NULL;
+    gsn_report_text_raw(text, "<section>\n<h2>Region ");
+    gsn_report_text_escape(text, part->input.region);
+    gsn_report_text_print(text,
+                          "</h2>\n<p class=\"lead\">Density, as above; Holm p counts the comparisons "
+                          "of all regions. %zu %s no figure here; animals.csv has the reasons and "
+                          "the volumes.</p>\n",
+                          left_out, left_out == 1 ? "specimen has" : "specimens have");
+    open_table(text, heads, sizeof heads / sizeof heads[0]);
+    for (size_t i = 0; i < part->comparison_count; i++)
+        if (part->comparison[i].measure == 0)
+            add_comparison_row(text, part, &part->comparison[i]);
+    close_table(text);
+}
+
 static void put_share(struct gsn_report_text *text, double part, double total)
 {
     gsn_report_text_raw(text, "<td class=\"num\">");
@@ -600,6 +623,8 @@ int gsn_study_page(const struct gsn_study *study, char **ret_bytes, size_t *ret_
     add_drawing(&text, study);
     add_groups(&text, study);
     add_comparisons(&text, study, 1);
+    for (size_t k = 0; k < study->part_count; k++)
+        add_part(&text, study->part[k]);
     add_budget(&text, study);
     add_specimens(&text, study);
     add_left_out(&text, study);

@@ -2,7 +2,7 @@
 
 /* A study for programs: long-format CSV and study.json.
  *
- * CSV as RFC 4180 has it: names in the first line, a row an animal and measure, texts in quotes.
+ * CSV as RFC 4180 has it: names in the first line, a row an animal, region and measure, texts in quotes.
  * Figures have nine significant digits, which is what R, pandas and Prism read without loss of
  * anything measured; what does not exist is an empty field, which they read as NA. A specimen that
  * takes no part has a row a measure without a value, and why. Fails only when memory runs out. */
@@ -90,6 +90,17 @@ static void put_left_out(struct gsn_report_text *text, const struct gsn_study *s
     gsn_report_text_raw(text, "\r\n");
 }
 
+/* The rows of one region. */
+static void put_rows(struct gsn_report_text *text, const struct gsn_study *study)
+{
+    for (size_t i = 0; i < study->animal_count; i++)
+        for (size_t m = 0; m < study->input.measure_count; m++)
+            put_animal(text, study, &study->animal[i], m);
+    for (size_t i = 0; i < study->input.specimen_count; i++)
+        for (size_t m = 0; study->input.specimen[i].left_out && m < study->input.measure_count; m++)
+            put_left_out(text, study, &study->input.specimen[i], m);
+}
+
 int gsn_study_csv(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
                   struct gsn_error *err)
 {
@@ -98,12 +109,9 @@ int gsn_study_csv(const struct gsn_study *study, char **ret_bytes, size_t *ret_s
     gsn_report_text_raw(&text,
                         "study,animal,group,week,role,region,measure,unit,value,standard_error,"
                         "specimens,included,reason,definition\r\n");
-    for (size_t i = 0; i < study->animal_count; i++)
-        for (size_t m = 0; m < study->input.measure_count; m++)
-            put_animal(&text, study, &study->animal[i], m);
-    for (size_t i = 0; i < study->input.specimen_count; i++)
-        for (size_t m = 0; study->input.specimen[i].left_out && m < study->input.measure_count; m++)
-            put_left_out(&text, study, &study->input.specimen[i], m);
+    put_rows(&text, study);
+    for (size_t k = 0; k < study->part_count; k++)
+        put_rows(&text, study->part[k]);
     if (text.failed)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the study's table");
     gsn_report_text_give(&text, ret_bytes, ret_size);
@@ -291,6 +299,24 @@ static json_t *make_comparisons(struct gsn_json_writer *w, const struct gsn_stud
     return array;
 }
 
+static json_t *make_parts(struct gsn_json_writer *w, const struct gsn_study *study)
+{
+    json_t *array = json_array();
+
+    for (size_t k = 0; k < study->part_count; k++) {
+        const struct gsn_study *const part = study->part[k];
+        json_t *object = json_object();
+
+        gsn_json_put(w, object, "region", gsn_json_text(part->input.region));
+        gsn_json_put(w, object, "groups", make_groups(w, part));
+        gsn_json_put(w, object, "comparisons", make_comparisons(w, part));
+        gsn_json_put(w, object, "animals", make_animals(w, part));
+        gsn_json_put(w, object, "specimens", make_specimens(w, part));
+        gsn_json_append(w, array, object);
+    }
+    return array;
+}
+
 static int add_piece(const char *bytes, size_t size, void *context)
 {
     struct gsn_report_text *const text = context;
@@ -318,6 +344,8 @@ int gsn_study_json(const struct gsn_study *study, char **ret_bytes, size_t *ret_
     gsn_json_put(&w, root, "comparisons", make_comparisons(&w, study));
     gsn_json_put(&w, root, "animals", make_animals(&w, study));
     gsn_json_put(&w, root, "specimens", make_specimens(&w, study));
+    if (study->part_count > 0)
+        gsn_json_put(&w, root, "regions", make_parts(&w, study));
     if (!w.failed &&
         json_dump_callback(root, add_piece, &text, JSON_INDENT(2) | JSON_REAL_PRECISION(9)) < 0)
         w.failed = 1;

@@ -212,9 +212,10 @@ static int check_markers(const struct gsn_protocol *p, struct gsn_error *err)
     return GSN_OK;
 }
 
-static int check_region(const struct gsn_protocol *p, struct gsn_error *err)
+/* key: what job.json calls it. */
+static int check_region(const struct gsn_protocol *p, const struct gsn_region *region,
+                        const char *key, struct gsn_error *err)
 {
-    const struct gsn_region *region = &p->region;
     double size = INFINITY;
 
     if (region->kind == GSN_REGION_BOX)
@@ -223,9 +224,9 @@ static int check_region(const struct gsn_protocol *p, struct gsn_error *err)
         size = 2 * region->radius_um;
     if (p->kind == GSN_KIND_SECTIONS && size < LEAST_REGION)
         return gsn_fail(err, GSN_E_INPUT,
-                        "job.json: \"region\" is %.4g um wide; is it in millimetres? Lengths are "
+                        "job.json: \"%s\" is %.4g um wide; is it in millimetres? Lengths are "
                         "micrometres: multiply them by 1000",
-                        size);
+                        key, size);
     return GSN_OK;
 }
 
@@ -266,7 +267,9 @@ static int check_job(const struct gsn_import *import, const struct gsn_protocol 
     if (r >= 0)
         r = check_markers(p, err);
     if (r >= 0)
-        r = check_region(p, err);
+        r = check_region(p, &p->region, "region", err);
+    for (size_t i = 0; r >= 0 && i < p->named_count; i++)
+        r = check_region(p, &p->named[i].region, p->named[i].name, err);
     if (r >= 0 && p->kind == GSN_KIND_VOLUME)
         r = check_unit(import, p, p->file, err);
     return r;
@@ -385,6 +388,10 @@ static int check_files(const struct gsn_import *import, const struct gsn_protoco
 
     for (size_t i = 0; r >= 0 && i < sizeof names / sizeof names[0]; i++)
         r = names[i] ? check_file(import, names[i], err) : GSN_OK;
+    for (size_t i = 0; r >= 0 && i < protocol->named_count; i++)
+        r = protocol->named[i].region.file
+                ? check_file(import, protocol->named[i].region.file, err)
+                : GSN_OK;
     for (size_t i = 0; r >= 0 && i < protocol->calibration_count; i++)
         r = check_file(import, protocol->calibration[i].file, err);
     return r;
@@ -494,6 +501,9 @@ static int attach_files(struct import_work *in, const struct gsn_protocol *proto
 
     if (protocol->region.file)
         r = attach_volume(in, protocol->region.file, err);
+    for (size_t i = 0; r >= 0 && i < protocol->named_count; i++)
+        if (protocol->named[i].region.file)
+            r = attach_volume(in, protocol->named[i].region.file, err);
     if (r >= 0 && protocol->kind == GSN_KIND_VOLUME)
         r = attach_volume(in, protocol->file, err);
     if (r >= 0 && protocol->kind == GSN_KIND_TILE)

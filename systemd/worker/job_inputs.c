@@ -38,6 +38,14 @@
 #include "systemd/worker/rescan.h"
 #include "systemd/worker/study.h"
 
+/* What is taken of the baseline for one region. */
+struct taken {
+    struct gsn_specimen_baseline *into;
+    const char *name; /* of the region; NULL: the main one */
+    char *definition, *dyes, *rule;
+    struct gsn_specimen_control *control;
+};
+
 struct gsn_job_inputs {
     struct gsn_store *store;
     struct gsn_specimen specimen;
@@ -54,10 +62,11 @@ struct gsn_job_inputs {
     struct gsn_specimen_decision *decision;
     char (*pose)[16];                /* "pose 2", for the decisions that choose one */
     const char **calibration_sha256; /* its entries are the attachments' */
-    struct gsn_mask *region;
+    struct gsn_mask *region, *mask[GSN_MOST_REGIONS];
     struct gsn_grid *volume;
-    char *definition, *dyes, *rule, *page; /* of the baseline */
-    struct gsn_specimen_control *control;
+    struct gsn_specimen_region named[GSN_MOST_REGIONS];
+    struct taken taken[1 + GSN_MOST_REGIONS]; /* of the main region, and of each named one */
+    char *page; /* of the baseline */
     json_t *baseline_keys;
     char *inputs;
     struct gsn_digest key, own_key;
@@ -114,18 +123,27 @@ static void sweep_links(const struct gsn_job_inputs *m, const char *folder)
     (void)rmdir(folder);
 }
 
+/* gives: the mask, where the region names a file. */
+static int read_mask(const struct gsn_region *region, const char *folder, double unit_um,
+                     struct gsn_mask **ret_mask, struct gsn_error *err)
+{
+    gsn_auto_mem(char) path = NULL;
+
+    if (!region->file)
+        return GSN_OK;
+    path = gsn_format("%s/%s", folder, region->file);
+    return path ? gsn_volume_read_mask(path, MOST_VOLUME_BYTES, unit_um, ret_mask, err)
+                : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+}
+
 static int read_volumes(struct gsn_job_inputs *m, const char *folder, struct gsn_error *err)
 {
     const struct gsn_protocol *p = m->protocol;
     const double unit_um = p->spacing_unit == GSN_SPACING_MM ? 1000 : 1;
-    int r = GSN_OK;
+    int r = read_mask(&p->region, folder, unit_um, &m->region, err);
 
-    if (p->region.file) {
-        gsn_auto_mem(char) path = gsn_format("%s/%s", folder, p->region.file);
-
-        r = path ? gsn_volume_read_mask(path, MOST_VOLUME_BYTES, unit_um, &m->region, err)
-                 : gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    }
+    for (size_t i = 0; r >= 0 && i < p->named_count; i++)
+        r = read_mask(&p->named[i].region, folder, unit_um, &m->mask[i], err);
     if (r >= 0 && p->kind == GSN_KIND_VOLUME) {
         gsn_auto_mem(char) path = gsn_format("%s/%s", folder, p->file);
 
@@ -158,6 +176,15 @@ static int find_calibrations(struct gsn_job_inputs *m, struct gsn_error *err)
     return GSN_OK;
 }
 
+static int has_files(const struct gsn_protocol *p)
+{
+    int has = p->region.file || p->kind == GSN_KIND_VOLUME;
+
+    for (size_t i = 0; i < p->named_count; i++)
+        has |= p->named[i].region.file != NULL;
+    return has;
+}
+
 /* Reads every file that the job names. */
 static int take_files(struct gsn_job_inputs *m, struct gsn_error *err)
 {
@@ -172,7 +199,7 @@ static int take_files(struct gsn_job_inputs *m, struct gsn_error *err)
     }
     if (r < 0)
         return r;
-    if (m->protocol->region.file || m->protocol->kind == GSN_KIND_VOLUME) {
+    if (has_files(m->protocol)) {
         r = link_files(m, &folder, err);
         if (r >= 0)
             r = read_volumes(m, folder, err);
@@ -182,6 +209,8 @@ static int take_files(struct gsn_job_inputs *m, struct gsn_error *err)
             sweep_links(m, folder);
     }
     m->specimen.region = m->region;
+    for (size_t i = 0; i < m->protocol->named_count; i++)
+        m->named[i].mask = m->mask[i];
     m->specimen.volume = m->volume;
     if (m->protocol->kind == GSN_KIND_TILE)
         m->specimen.picture_sha256 = find_attached(m, m->protocol->file);
@@ -240,33 +269,51 @@ static json_t *panels_of(const struct gsn_cloud *cloud)
     return panels;
 }
 
-char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *result)
+/* gives; NULL: out of memory. */
+static json_t *parameters_of(const char *own_key, const struct gsn_specimen_result *result)
 {
     const struct gsn_specimen_control *c = &result->colours;
-    json_t *root =
-        json_pack("{s:s, s:s, s:s, s:s, s:{s:o, s:o, s:f, s:o, s:o}}", "definition",
-                  result->definition, "dyes", result->dyes, "region", result->region, "own_key",
-                  own_key, "colours", "region_od", numbers_of(c->region_od, 3), "free_od",
-                  numbers_of(c->free_od, 3), "free_panels", c->free_panels, "yellow",
-                  numbers_of(c->yellow, GSN_CONTROL_TISSUES), "panels", panels_of(c->cloud));
-    char *dumped = json_dumps(root, JSON_COMPACT);
-    char *text = dumped ? gsn_strdup(dumped) : NULL;
 
+    return json_pack("{s:s, s:s, s:s, s:s, s:{s:o, s:o, s:f, s:o, s:o}}", "definition",
+                     result->definition, "dyes", result->dyes, "region", result->region, "own_key",
+                     own_key, "colours", "region_od", numbers_of(c->region_od, 3), "free_od",
+                     numbers_of(c->free_od, 3), "free_panels", c->free_panels, "yellow",
+                     numbers_of(c->yellow, GSN_CONTROL_TISSUES), "panels", panels_of(c->cloud));
+}
+
+char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *result)
+{
+    json_t *root = parameters_of(own_key, result), *named = json_object();
+    int failed = 0;
+    char *dumped, *text;
+
+    for (size_t i = 0; i < result->part_count; i++)
+        failed |= json_object_set_new(named, result->part[i]->name,
+                                      parameters_of(own_key, result->part[i])) < 0;
+    if (result->part_count > 0)
+        failed |= json_object_set(root, "regions", named) < 0;
+    json_decref(named);
+    dumped = failed ? NULL : json_dumps(root, JSON_COMPACT);
+    text = dumped ? gsn_strdup(dumped) : NULL;
     free(dumped); /* door */
     json_decref(root);
     return text;
 }
 
-/* A text of a run's parameters ("definition", "dyes", "region", "own_key"), or "" where an older
- * version wrote none. gives; NULL: out of memory. */
-static char *read_parameter(const struct gsn_run_row *run, const char *name)
+/* A run's parameters: its own, or those of a region of that name; NULL where an older version wrote none
+ * or there is no such region. Borrowed. */
+static const json_t *find_parameters(const json_t *root, const char *region)
 {
-    json_t *root = json_loads(run->parameters_json, 0, NULL);
-    const char *text = json_string_value(json_object_get(root, name));
-    char *copy = gsn_strdup(text ? text : "");
+    return region ? json_object_get(json_object_get(root, "regions"), region) : root;
+}
 
-    json_decref(root);
-    return copy;
+/* A text of parameters ("definition", "dyes", "region", "own_key"), or "" where there is none. gives;
+ * NULL: out of memory. */
+static char *read_parameter(const json_t *parameters, const char *name)
+{
+    const char *text = json_string_value(json_object_get(parameters, name));
+
+    return gsn_strdup(text ? text : "");
 }
 
 static void take_numbers(const json_t *numbers, double *ret_value, size_t count)
@@ -302,11 +349,10 @@ static int take_bins(const json_t *from, struct gsn_cloud_panel *panel, struct g
 
 /* What the colours of its tissue were: region_od, yellow and cloud, which is given; not known (NaN,
  * NULL) where an older version told none. Fails with GSN_E_NOMEM. */
-static int read_colours(const struct gsn_run_row *run, struct gsn_specimen_control *colours,
+static int read_colours(const json_t *parameters, struct gsn_specimen_control *colours,
                         struct gsn_error *err)
 {
-    json_t *root = json_loads(run->parameters_json, 0, NULL);
-    const json_t *from = json_object_get(root, "colours");
+    const json_t *from = json_object_get(parameters, "colours");
     const json_t *panels = json_object_get(from, "panels");
     gsn_auto(gsn_cloud) cloud = NULL;
     int r = GSN_OK;
@@ -319,7 +365,6 @@ static int read_colours(const struct gsn_run_row *run, struct gsn_specimen_contr
         r = gsn_cloud_new(json_array_size(panels), &cloud, err);
     for (size_t p = 0; r >= 0 && p < json_array_size(panels); p++)
         r = take_bins(json_array_get(panels, p), &cloud->panel[p], err);
-    json_decref(root);
     if (r >= 0)
         colours->cloud = gsn_steal(&cloud);
     return r;
@@ -327,23 +372,36 @@ static int read_colours(const struct gsn_run_row *run, struct gsn_specimen_contr
 
 /* Baseline. */
 
-static const struct gsn_measure_row *row_named(const struct gsn_measure_rows *rows,
-                                               const char *name)
+/* The figures of a run's main region, or of one of its named ones. */
+struct figures {
+    const struct gsn_measure_rows *rows;
+    const char *region; /* NULL: the main one */
+};
+
+static const struct gsn_measure_row *row_named(const struct figures *figures, const char *name)
 {
-    for (size_t i = 0; i < rows->count; i++)
-        if (strcmp(rows->at[i].name, name) == 0)
-            return &rows->at[i];
+    const size_t length = figures->region ? strlen(figures->region) : 0;
+
+    for (size_t i = 0; i < figures->rows->count; i++) {
+        const char *row = figures->rows->at[i].name;
+
+        if (figures->region &&
+            (strncmp(row, figures->region, length) != 0 || row[length] != GSN_SPECIMEN_IN_REGION))
+            continue;
+        if (strcmp(figures->region ? row + length + 1 : row, name) == 0)
+            return &figures->rows->at[i];
+    }
     return NULL;
 }
 
-static double measure_named(const struct gsn_measure_rows *rows, const char *name)
+static double measure_named(const struct figures *rows, const char *name)
 {
     const struct gsn_measure_row *row = row_named(rows, name);
 
     return row ? row->value : (double)NAN;
 }
 
-static double known_measure(const struct gsn_measure_rows *rows, const char *name)
+static double known_measure(const struct figures *rows, const char *name)
 {
     const double value = measure_named(rows, name);
 
@@ -370,7 +428,7 @@ static int finished_run(struct gsn_store *store, int64_t specimen, struct gsn_ru
 }
 
 /* A control's; NaN: it does not have that. */
-static struct gsn_control_tissues tissues_of(const struct gsn_measure_rows *rows)
+static struct gsn_control_tissues tissues_of(const struct figures *rows)
 {
     struct gsn_control_tissues ret;
 
@@ -409,7 +467,7 @@ static void share_tissues(struct gsn_specimen_baseline *b)
     }
 }
 
-static void add_turns(const struct gsn_measure_rows *rows, struct gsn_specimen_baseline *b)
+static void add_turns(const struct figures *rows, struct gsn_specimen_baseline *b)
 {
     const struct gsn_vector_scatter turns = { known_measure(rows, "vector_turns"),
                                               known_measure(rows, "vector_turns_freedom") };
@@ -418,31 +476,67 @@ static void add_turns(const struct gsn_measure_rows *rows, struct gsn_specimen_b
 }
 
 /* One more of the specimens, and what it hands on beside its figures. */
-static int take_control(struct gsn_job_inputs *m, const struct gsn_measure_rows *measures,
-                        const struct gsn_run_row *run, struct gsn_error *err)
+static int take_control(const struct taken *t, const struct figures *measures,
+                        const json_t *parameters, struct gsn_error *err)
 {
-    struct gsn_specimen_baseline *b = &m->specimen.baseline;
-    struct gsn_specimen_control *control = &m->control[b->specimens++];
+    struct gsn_specimen_baseline *b = t->into;
+    struct gsn_specimen_control *control = &t->control[b->specimens++];
 
     *control = (struct gsn_specimen_control){ .tissues = tissues_of(measures) };
     add_tissues(&control->tissues, b);
     add_turns(measures, b);
-    return read_colours(run, control, err);
+    return read_colours(parameters, control, err);
 }
 
-/* Adds one control to the sums; a control without a figure adds nothing to them, but this run rests
- * on its having none: else two such specimens, each the other's baseline, would ask for each other
- * for ever. */
+/* Adds the figures of one region of a control's run to the sums. */
+static int add_figures(struct taken *t, const struct gsn_measure_rows *rows,
+                       const json_t *parameters, struct gsn_error *err)
+{
+    struct gsn_specimen_baseline *b = t->into;
+    const struct figures measures = { rows, t->name };
+    gsn_auto_mem(char) region = NULL;
+    const double mean = measure_named(&measures, "mean_density");
+    int r;
+
+    if (isnan(mean)) {
+        b->withheld++;
+        b->lacking += t->name && !parameters;
+        return GSN_OK;
+    }
+    b->mean_density += mean;
+    b->mean_density_error =
+        hypot(b->mean_density_error, known_measure(&measures, "mean_density_error"));
+    b->own_scale_error = hypot(b->own_scale_error, known_measure(&measures, "own_scale_error"));
+    b->section_error = hypot(b->section_error, known_measure(&measures, "section_error"));
+    r = take_control(t, &measures, parameters, err);
+    if (r < 0)
+        return r;
+    b->unmeasured = fmax(b->unmeasured, 1 - measure_named(&measures, "coverage"));
+    b->unknown = fmax(b->unknown, 1 - measure_named(&measures, "known"));
+    b->volume_mm3 += measure_named(&measures, "region_volume");
+    region = read_parameter(parameters, "region");
+    if (!t->definition) {
+        t->definition = read_parameter(parameters, "definition");
+        t->dyes = read_parameter(parameters, "dyes");
+        t->rule = region ? gsn_strdup(region) : NULL;
+    }
+    if (!t->definition || !t->dyes || !t->rule || !region)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    if (strcmp(t->rule, region) != 0)
+        t->rule[0] = '\0';
+    return GSN_OK;
+}
+
+/* Adds one control; one without a figure adds nothing to the sums, but this run rests on its having
+ * none: else two such specimens, each the other's baseline, would ask for each other for ever. */
 static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *control,
                        struct gsn_error *err)
 {
-    struct gsn_specimen_baseline *b = &m->specimen.baseline;
     gsn_auto(gsn_run_row) run = NULL;
     gsn_auto(gsn_measure_rows) measures = NULL;
     gsn_auto_mem(char) own_key = NULL;
-    gsn_auto_mem(char) region = NULL;
     struct gsn_error quiet = { 0 };
-    double mean;
+    json_t *root;
     int r = finished_run(m->store, control->id, &run, &quiet);
 
     if (r == GSN_E_NOTFOUND)
@@ -451,36 +545,14 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
         r = gsn_measure_list(m->store, run->id, &measures, &quiet);
     if (r < 0)
         return gsn_fail(err, r, "%s", quiet.text);
-    own_key = read_parameter(run, "own_key");
+    root = json_loads(run->parameters_json, 0, NULL);
+    own_key = read_parameter(root, "own_key");
     if (!own_key || json_array_append_new(m->baseline_keys, json_string(own_key)) < 0)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
-    mean = measure_named(measures, "mean_density");
-    if (isnan(mean)) {
-        b->withheld++;
-        return GSN_OK;
-    }
-    b->mean_density += mean;
-    b->mean_density_error =
-        hypot(b->mean_density_error, known_measure(measures, "mean_density_error"));
-    b->own_scale_error = hypot(b->own_scale_error, known_measure(measures, "own_scale_error"));
-    b->section_error = hypot(b->section_error, known_measure(measures, "section_error"));
-    r = take_control(m, measures, run, err);
-    if (r < 0)
-        return r;
-    b->unmeasured = fmax(b->unmeasured, 1 - measure_named(measures, "coverage"));
-    b->unknown = fmax(b->unknown, 1 - measure_named(measures, "known"));
-    b->volume_mm3 += measure_named(measures, "region_volume");
-    region = read_parameter(run, "region");
-    if (!m->definition) {
-        m->definition = read_parameter(run, "definition");
-        m->dyes = read_parameter(run, "dyes");
-        m->rule = region ? gsn_strdup(region) : NULL;
-    }
-    if (!m->definition || !m->dyes || !m->rule || !region)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
-    if (strcmp(m->rule, region) != 0)
-        m->rule[0] = '\0';
-    return GSN_OK;
+        r = gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    for (size_t i = 0; r >= 0 && i <= m->protocol->named_count; i++)
+        r = add_figures(&m->taken[i], measures, find_parameters(root, m->taken[i].name), err);
+    json_decref(root);
+    return r;
 }
 
 /* From the folder of one specimen's run to the last report of another, by names alone: the same
@@ -500,27 +572,11 @@ static int link_control(struct gsn_job_inputs *m, const struct gsn_specimen_row 
     return m->page ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
 }
 
-/* The mean of the baseline's specimens, and the keys of their runs. */
-static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
+/* The sums become means. */
+static void finish_baseline(const struct taken *t)
 {
-    struct gsn_specimen_baseline *b = &m->specimen.baseline;
-    gsn_auto(gsn_specimen_rows) controls = NULL;
-    int r = GSN_OK;
+    struct gsn_specimen_baseline *b = t->into;
 
-    m->baseline_keys = json_array();
-    b->name = m->row->baseline;
-    if (!b->name[0])
-        return GSN_OK;
-    r = gsn_specimen_baseline(m->store, m->row->study, b->name, &controls, err);
-    if (r >= 0) {
-        b->control = m->control = gsn_alloc_array(controls->count + 1, sizeof *m->control);
-        r = m->control ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
-    }
-    for (size_t i = 0; r >= 0 && i < controls->count; i++)
-        if (controls->at[i].id != m->row->id)
-            r = add_control(m, &controls->at[i], err);
-    if (r >= 0 && controls->count == 1 && b->specimens + b->withheld == 1)
-        r = link_control(m, &controls->at[0], err);
     if (b->specimens > 0) {
         b->mean_density /= (double)b->specimens;
         b->mean_density_error /= (double)b->specimens;
@@ -529,9 +585,43 @@ static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
         share_tissues(b);
         b->volume_mm3 /= (double)b->specimens;
     }
-    b->definition = m->definition ? m->definition : "";
-    b->dyes = m->dyes ? m->dyes : "";
-    b->region = m->rule ? m->rule : "";
+    b->definition = t->definition ? t->definition : "";
+    b->dyes = t->dyes ? t->dyes : "";
+    b->region = t->rule ? t->rule : "";
+}
+
+/* The mean of the baseline's specimens, region by region, and the keys of their runs. */
+static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
+{
+    gsn_auto(gsn_specimen_rows) controls = NULL;
+    const char *name = m->row->baseline;
+    const size_t count = 1 + m->protocol->named_count;
+    int r = GSN_OK;
+
+    m->baseline_keys = json_array();
+    for (size_t i = 0; i < count; i++) {
+        m->taken[i].into = i == 0 ? &m->specimen.baseline : &m->named[i - 1].baseline;
+        m->taken[i].name = i == 0 ? NULL : m->protocol->named[i - 1].name;
+        m->taken[i].into->name = name;
+    }
+    m->specimen.named = m->named;
+    if (!name[0])
+        return GSN_OK;
+    r = gsn_specimen_baseline(m->store, m->row->study, name, &controls, err);
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        struct taken *t = &m->taken[i];
+
+        t->into->control = t->control = gsn_alloc_array(controls->count + 1, sizeof *t->control);
+        r = t->control ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    }
+    for (size_t i = 0; r >= 0 && i < controls->count; i++)
+        if (controls->at[i].id != m->row->id)
+            r = add_control(m, &controls->at[i], err);
+    if (r >= 0 && controls->count == 1 &&
+        m->specimen.baseline.specimens + m->specimen.baseline.withheld == 1)
+        r = link_control(m, &controls->at[0], err);
+    for (size_t i = 0; i < count; i++)
+        finish_baseline(&m->taken[i]);
     return r;
 }
 
@@ -940,13 +1030,19 @@ void gsn_job_inputs_free(struct gsn_job_inputs *m)
     gsn_free(m->decision);
     gsn_free(m->pose);
     gsn_free(m->calibration_sha256);
-    gsn_free(m->definition);
-    gsn_free(m->dyes);
-    gsn_free(m->rule);
     gsn_free(m->page);
-    for (size_t i = 0; m->control && i < m->specimen.baseline.specimens; i++)
-        gsn_cloud_free(m->control[i].cloud);
-    gsn_free(m->control);
+    for (size_t k = 0; k < sizeof m->taken / sizeof m->taken[0]; k++) {
+        struct taken *t = &m->taken[k];
+
+        gsn_free(t->definition);
+        gsn_free(t->dyes);
+        gsn_free(t->rule);
+        for (size_t i = 0; t->control && i < t->into->specimens; i++)
+            gsn_cloud_free(t->control[i].cloud);
+        gsn_free(t->control);
+    }
+    for (size_t i = 0; i < GSN_MOST_REGIONS; i++)
+        gsn_mask_free(m->mask[i]);
     gsn_free(m->inputs);
     gsn_free(m);
 }

@@ -16,6 +16,7 @@
 
 #include <jansson.h>
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
@@ -108,6 +109,8 @@ static int64_t panel_id_of(const struct gsn_panel_rows *panels, unsigned number)
 /* The result as rows. */
 struct rows {
     struct gsn_measure_row *measure;
+    size_t measure_count;
+    char (*name)[96]; /* of the measures of named regions */
     struct gsn_pose_row *pose;
     struct gsn_stain_row *stain;
 };
@@ -115,6 +118,7 @@ struct rows {
 static void rows_done(struct rows *rows)
 {
     gsn_free(rows->measure);
+    gsn_free(rows->name);
     gsn_free(rows->pose);
     gsn_free(rows->stain);
 }
@@ -151,20 +155,38 @@ static struct gsn_stain_row stain_row(const struct gsn_specimen_stain *s, int64_
     return row;
 }
 
+/* Those of the main region have the names that they have in the result. */
+static void add_measures(const struct gsn_specimen_result *result, struct rows *rows)
+{
+    for (size_t i = 0; i < result->measure_count; i++) {
+        const struct gsn_specimen_measure *m = &result->measure[i];
+        char *name = rows->name[rows->measure_count];
+
+        (void)snprintf(name, sizeof rows->name[0], "%s%c%s", result->name, GSN_SPECIMEN_IN_REGION,
+                       m->name);
+        rows->measure[rows->measure_count++] =
+            (struct gsn_measure_row){ .name = result->name[0] ? name : m->name,
+                                      .value = m->value,
+                                      .lower = m->lower,
+                                      .upper = m->upper,
+                                      .unit = m->unit };
+    }
+}
+
 static int make_rows(const struct gsn_specimen_result *result, const struct gsn_panel_rows *panels,
                      struct rows *rows, struct gsn_error *err)
 {
-    rows->measure = gsn_alloc_array(result->measure_count, sizeof *rows->measure);
+    const size_t measures = (1 + result->part_count) * GSN_SPECIMEN_MEASURES;
+
+    rows->measure = gsn_alloc_array(measures, sizeof *rows->measure);
+    rows->name = gsn_alloc_array(measures, sizeof *rows->name);
     rows->pose = gsn_alloc_array(result->pose_count, sizeof *rows->pose);
     rows->stain = gsn_alloc_array(result->stain_count, sizeof *rows->stain);
-    if (!rows->measure || !rows->pose || !rows->stain)
+    if (!rows->measure || !rows->name || !rows->pose || !rows->stain)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the rows of a result");
-    for (size_t i = 0; i < result->measure_count; i++)
-        rows->measure[i] = (struct gsn_measure_row){ .name = result->measure[i].name,
-                                                     .value = result->measure[i].value,
-                                                     .lower = result->measure[i].lower,
-                                                     .upper = result->measure[i].upper,
-                                                     .unit = result->measure[i].unit };
+    add_measures(result, rows);
+    for (size_t i = 0; i < result->part_count; i++)
+        add_measures(result->part[i], rows);
     for (size_t i = 0; i < result->pose_count; i++)
         rows->pose[i] = pose_row(&result->pose[i], panel_id_of(panels, result->pose[i].panel));
     for (size_t i = 0; i < result->stain_count; i++)
@@ -242,7 +264,7 @@ int gsn_specimen_compare_rows(struct gsn_store *store, int64_t run,
         r = gsn_pose_list(store, run, &poses, err);
     if (r >= 0)
         r = gsn_stain_list(store, run, &stains, err);
-    if (r >= 0 && !same_measures(measures, rows.measure, result->measure_count))
+    if (r >= 0 && !same_measures(measures, rows.measure, rows.measure_count))
         found(context, what, "its stored figures are not those that come out of the originals");
     if (r >= 0 && !same_poses(poses, rows.pose, result->pose_count))
         found(context, what, "its stored poses are not those that come out of the originals");
@@ -326,7 +348,6 @@ static int finish_run(struct gsn_store *store, const struct gsn_job_row *job, in
     struct rows rows = { 0 };
     struct gsn_run_end end = { .state = result->withheld ? "withheld" : "reported",
                                .message = result->message,
-                               .measure_count = result->measure_count,
                                .pose_count = result->pose_count,
                                .stain_count = result->stain_count };
     struct gsn_digest head;
@@ -345,6 +366,7 @@ static int finish_run(struct gsn_store *store, const struct gsn_job_row *job, in
         end.json_sha256 = place.json_is.hex;
         end.event_head = head.hex;
         end.measures = rows.measure;
+        end.measure_count = rows.measure_count;
         end.poses = rows.pose;
         end.stains = rows.stain;
         r = commit_run(store, job, run, &end, inputs, panels, result, err);

@@ -22,6 +22,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
+#include "pipeline/specimen/specimen.h"
 #include "storage/audit.h"
 #include "storage/audit_log.h"
 #include "storage/catalog.h"
@@ -32,8 +33,19 @@ enum { MOST_REPORT_BYTES = 1 << 28, MOST_VOLUMES = GSN_STUDY_MEASURES - 2 };
 /* An interval of 95 % has so many standard errors either way. */
 static const double TWO_SIDED_95 = 1.96;
 
+/* What a report says of one of its named regions. */
+struct named {
+    size_t specimen;
+    const char *region;
+    double density, error, volume, loss, lower, upper;
+    const char *why; /* there is no density; NULL: there is */
+};
+
 struct gsn_study_files {
     struct gsn_study_input input;
+    struct named *named;
+    size_t named_count, named_room;
+    struct gsn_study_input *part; /* each with specimens of its own, owned */
     struct gsn_study_measure measure[GSN_STUDY_MEASURES];
     double threshold[MOST_VOLUMES];
     size_t threshold_count;
@@ -56,6 +68,10 @@ void gsn_study_files_free(struct gsn_study_files *f)
     for (size_t i = 0; i < f->text_count; i++)
         gsn_free(f->text[i]);
     gsn_free(f->text);
+    for (size_t k = 0; k < f->input.part_count; k++)
+        gsn_free((void *)(uintptr_t)f->part[k].specimen);
+    gsn_free(f->part);
+    gsn_free(f->named);
     gsn_free(f->specimen);
     gsn_specimen_rows_free(f->rows);
     gsn_event_rows_free(f->events);
@@ -232,11 +248,11 @@ static int open_report(struct gsn_store *store, const struct gsn_run_row *run, j
     return *ret_root ? GSN_OK : gsn_fail(err, GSN_E_INPUT, "%s is no JSON", run->json_path);
 }
 
-/* Mean density of the specimens that a baseline stands for, without this one, and the group of the
- * first. */
+/* Mean of a measure of the specimens that a baseline stands for, without this one, and the group of
+ * the first. */
 static int average_controls(struct gsn_study_files *f, struct gsn_store *store,
-                         const struct gsn_specimen_row *row, double *ret_density,
-                         const char **ret_group, struct gsn_error *err)
+                            const struct gsn_specimen_row *row, const char *measure,
+                            double *ret_density, const char **ret_group, struct gsn_error *err)
 {
     gsn_auto(gsn_specimen_rows) controls = NULL;
     double sum = 0;
@@ -262,7 +278,7 @@ static int average_controls(struct gsn_study_files *f, struct gsn_store *store,
         if (r >= 0)
             r = gsn_measure_list(store, run->id, &rows, err);
         for (size_t k = 0; r >= 0 && k < rows->count; k++)
-            if (strcmp(rows->at[k].name, "mean_density") == 0) {
+            if (strcmp(rows->at[k].name, measure) == 0) {
                 sum += rows->at[k].value;
                 n++;
             }
@@ -305,7 +321,7 @@ static int read_baseline(struct gsn_study_files *f, struct gsn_store *store,
         *ret_group = f->baseline_group;
         return GSN_OK;
     }
-    r = average_controls(f, store, row, ret_density, ret_group, err);
+    r = average_controls(f, store, row, "mean_density", ret_density, ret_group, err);
     if (r >= 0 && !is_own) {
         f->baseline = row->baseline;
         f->baseline_density = *ret_density;
@@ -359,6 +375,55 @@ char *gsn_study_link(const char *path)
     return gsn_steal(&link);
 }
 
+static int add_named(struct gsn_study_files *f, const struct named *named, struct gsn_error *err)
+{
+    if (f->named_count == f->named_room) {
+        struct named *const more =
+            gsn_realloc_array(f->named, 2 * f->named_room + 16, sizeof *f->named);
+
+        if (!more)
+            return fail_memory(err);
+        f->named = more;
+        f->named_room = 2 * f->named_room + 16;
+    }
+    f->named[f->named_count++] = *named;
+    return GSN_OK;
+}
+
+/* A loss as read_loss() has it; of a control the density itself. */
+static int read_named(struct gsn_study_files *f, struct gsn_store *store,
+                      const struct gsn_specimen_row *row, const json_t *region,
+                      struct gsn_error *err)
+{
+    const char *const name = json_string_value(json_object_get(region, "name"));
+    const char *const why = json_string_value(json_object_get(region, "withheld"));
+    const json_t *const interval = json_object_get(region, "loss_interval");
+    gsn_auto_mem(char) measure = gsn_format("%s%c%s", name ? name : "", GSN_SPECIMEN_IN_REGION, "mean_density");
+    struct named n = { .specimen = f->input.specimen_count,
+                       .region = keep_text(f, gsn_strdup(name ? name : "")),
+                       .density = read_number(region, "mean_density"),
+                       .error = read_number(region, "mean_density_error"),
+                       .volume = read_number(region, "volume_mm3"),
+                       .loss = read_number(region, "loss_percent"),
+                       .lower = read_number(interval, "lower"),
+                       .upper = read_number(interval, "upper") };
+    const char *group = "";
+    double baseline = NAN;
+    int r = measure && n.region ? GSN_OK : fail_memory(err);
+
+    if (r >= 0 && *row->baseline) {
+        r = average_controls(f, store, row, measure, &baseline, &group, err);
+        n.density = (1 - n.loss / 100) * baseline;
+        n.error = (n.upper - n.lower) / (2 * TWO_SIDED_95) / 100 * baseline;
+    }
+    if (r >= 0 && !isfinite(n.density)) {
+        n.why = say_text(f, "%s: %.400s", *row->baseline ? "no loss" : "no mean density",
+                         why ? why : "its report says no more");
+        r = n.why ? GSN_OK : fail_memory(err);
+    }
+    return r < 0 ? r : add_named(f, &n, err);
+}
+
 static int read_report(struct gsn_study_files *f, struct gsn_store *store,
                        const struct gsn_specimen_row *row, const struct gsn_run_row *run,
                        struct gsn_study_specimen *s, struct gsn_error *err)
@@ -391,6 +456,8 @@ static int read_report(struct gsn_study_files *f, struct gsn_store *store,
         if (!s->key)
             r = fail_memory(err);
     }
+    for (size_t i = 0; r >= 0 && i < json_array_size(json_object_get(root, "regions")); i++)
+        r = read_named(f, store, row, json_array_get(json_object_get(root, "regions"), i), err);
     if (r >= 0 && !isfinite(s->value[0])) {
         const char *const reason = json_string_value(json_object_get(root, "loss_reason"));
 
@@ -615,6 +682,78 @@ static int note_freeze(struct gsn_study_files *f, struct gsn_error *err)
     return hide_groups(f, blind->hash, err);
 }
 
+/* ---- further regions ----------------------------------------------------------------------- */
+
+static const struct named *find_region(const struct gsn_study_files *f, size_t specimen,
+                                       const char *region)
+{
+    for (size_t i = 0; i < f->named_count; i++)
+        if (f->named[i].specimen == specimen && strcmp(f->named[i].region, region) == 0)
+            return &f->named[i];
+    return NULL;
+}
+
+/* A specimen with the figures of one of its regions. Who was excluded is so in all of them. */
+static struct gsn_study_specimen show_region(const struct gsn_study_files *f, size_t specimen,
+                                             const char *region)
+{
+    const struct named *const n = find_region(f, specimen, region);
+    struct gsn_study_specimen s = f->specimen[specimen];
+
+    for (size_t m = 0; m < GSN_STUDY_MEASURES; m++)
+        s.value[m] = s.error[m] = NAN;
+    s.vector_error = s.section_error = s.loss = s.loss_lower = s.loss_upper = NAN;
+    if (s.excluded)
+        return s;
+    if (!n) {
+        s.left_out = s.left_out && f->input.blind ? s.left_out : "it has no report of this region";
+        return s;
+    }
+    s.value[0] = n->density;
+    s.error[0] = n->error;
+    s.value[1] = n->volume;
+    s.left_out = n->why && f->input.blind
+                     ? "has no figure; why is shown once the study is no longer blind"
+                     : n->why;
+    if (!f->input.blind) {
+        s.loss = n->loss;
+        s.loss_lower = n->lower;
+        s.loss_upper = n->upper;
+    }
+    return s;
+}
+
+/* One more input a region, in order of first sight; comes after names were hidden. */
+static int make_parts(struct gsn_study_files *f, struct gsn_error *err)
+{
+    f->part = gsn_alloc_array(f->named_count + 1, sizeof *f->part);
+    if (!f->part)
+        return fail_memory(err);
+    for (size_t i = 0; i < f->named_count; i++) {
+        struct gsn_study_specimen *specimen;
+        size_t k = 0;
+
+        while (k < f->input.part_count && strcmp(f->part[k].region, f->named[i].region) != 0)
+            k++;
+        if (k < f->input.part_count)
+            continue;
+        specimen = gsn_alloc_array(f->input.specimen_count + 1, sizeof *specimen);
+        if (!specimen)
+            return fail_memory(err);
+        for (size_t s = 0; s < f->input.specimen_count; s++)
+            specimen[s] = show_region(f, s, f->named[i].region);
+        f->part[k] = f->input;
+        f->part[k].region = f->named[i].region;
+        f->part[k].measure_count = 2;
+        f->part[k].specimen = specimen;
+        f->part[k].part = NULL;
+        f->part[k].part_count = 0;
+        f->input.part_count++;
+    }
+    f->input.part = f->part;
+    return GSN_OK;
+}
+
 static int fail_unknown(struct gsn_store *store, const char *name, struct gsn_error *err)
 {
     gsn_auto(gsn_study_names) names = NULL;
@@ -666,6 +805,8 @@ int gsn_study_gather(struct gsn_store *store, const char *name, struct gsn_study
         r = digest_specimens(f, err);
     if (r >= 0)
         r = note_freeze(f, err);
+    if (r >= 0)
+        r = make_parts(f, err);
     if (r >= 0)
         *ret_files = gsn_steal(&f);
     return r;

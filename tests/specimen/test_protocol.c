@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/specimen/protocol.h"
 
+#include "pipeline/core/mem.h"
 #include "pipeline/stain/calibration.h"
 #include "pipeline/stain/tissue_segmentation.h"
 #include "tests/check.h"
@@ -244,6 +245,51 @@ TEST(a_band_is_read_with_and_without_its_limits)
              err);
     CHECK(p->region.from == GSN_TISSUE_ROOT && bone->region.from == GSN_TISSUE_BONE);
     CHECK(q->region.centre.y == 646 && q->region.radius_um == 900);
+}
+
+#define SHAPE "{\"shape\": \"sphere\", \"centre\": [1, 2, 3], \"radius\": 40}"
+
+TEST(named_regions_are_read_in_their_order_beside_the_main_one)
+{
+    static const char job[] = "{\"specimen\": \"x\", \"region\": \"r.mhd\", \"regions\": "
+                              "{\"septum\": \"s.mhd\", \"mesial-2\": " SHAPE "}}";
+    gsn_auto(gsn_protocol) p = NULL;
+    gsn_auto(gsn_protocol) none = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(parse(job, &p, &err), err);
+    CHECK(p->named_count == 2 && !p->unknown && strcmp(p->region.file, "r.mhd") == 0);
+    CHECK(strcmp(p->named[0].name, "septum") == 0 &&
+          strcmp(p->named[0].region.file, "s.mhd") == 0);
+    CHECK(strcmp(p->named[1].name, "mesial-2") == 0 &&
+          p->named[1].region.kind == GSN_REGION_SPHERE && p->named[1].region.radius_um == 40);
+    CHECK_EVERY_OOM(parse(job, &none, &err), err);
+}
+
+TEST(named_regions_that_are_none_are_refused_by_name)
+{
+    static const char *const wrong[][2] = {
+        { "\"region\": " SHAPE ", \"regions\": {\"a/b\": " SHAPE "}", "\"a/b\" is no name" },
+        { "\"region\": " SHAPE ", \"regions\": {\"\": " SHAPE "}", "\"\" is no name" },
+        { "\"region\": " SHAPE ", \"regions\": [" SHAPE "]", "\"regions\" must be" },
+        { "\"region\": " SHAPE ", \"regions\": {\"a\": 5}", "\"a\" must be" },
+        { "\"regions\": {\"a\": " SHAPE "}", "which is the main one" },
+        { "\"kind\": \"tile\", \"file\": \"t.png\", \"regions\": {\"a\": " SHAPE "}",
+          "a tile is one picture" },
+        { "\"region\": " SHAPE ", \"registration\": \"tissue\", \"frame\": [1, 1], \"regions\": "
+          "{\"1\": 1, \"2\": 1, \"3\": 1, \"4\": 1, \"5\": 1, \"6\": 1, \"7\": 1, \"8\": 1, \"9\": 1}",
+          "at most 8" },
+    };
+
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+        gsn_auto_mem(char) job = gsn_format("{\"specimen\": \"x\", %s}", wrong[i][0]);
+        gsn_auto(gsn_protocol) p = NULL;
+        struct gsn_error err = { 0 };
+
+        CHECK(parse(job, &p, &err) == GSN_E_INPUT && !p);
+        if (!strstr(err.text, wrong[i][1]))
+            fail_msg("%s: %s", job, err.text);
+    }
 }
 
 TEST(the_sections_are_the_slots_or_as_many_as_stated)

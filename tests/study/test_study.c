@@ -5,6 +5,7 @@
 #include "tests/check.h"
 
 #include <jansson.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -58,6 +59,47 @@ TEST(two_sides_of_one_animal_are_one_animal)
     CHECK_NEAR(study->animal[2].error[0], 0.01 / sqrt(2.0), 1e-15);
     CHECK(study->comparison_count == 1);
     CHECK_NEAR(study->comparison[0].loss.percent, 100 * (1 - 0.32 / 0.52), 1e-12);
+}
+
+/* A further region is a study of its own, but for Holm's correction, which counts both. */
+TEST(p_values_are_corrected_over_all_regions)
+{
+    const struct gsn_study_specimen s[] = { draw("a", "1", "drug", "none", 2, 0.30),
+                                            draw("b", "2", "drug", "none", 2, 0.33),
+                                            draw("c", "3", "none", NULL, 2, 0.50),
+                                            draw("d", "4", "none", NULL, 2, 0.56) };
+    const struct gsn_study_specimen t[] = { draw("a", "1", "drug", "none", 2, 0.45),
+                                            draw("b", "2", "drug", "none", 2, 0.47),
+                                            draw("c", "3", "none", NULL, 2, 0.50),
+                                            draw("d", "4", "none", NULL, 2, 0.56) };
+    const struct gsn_study_input part = study_of(t, 4);
+    struct gsn_study_input input = study_of(s, 4);
+    gsn_auto(gsn_study) study = NULL;
+    gsn_auto(gsn_study) alone = NULL;
+    gsn_auto_mem(char) csv = NULL;
+    struct gsn_error err = { 0 };
+    size_t size;
+
+    CHECK_OK(gsn_study_analyse(&part, &alone, &err), err);
+    input.part = &part;
+    input.part_count = 1;
+    CHECK_OK(gsn_study_analyse(&input, &study, &err), err);
+    CHECK(study->part_count == 1 && study->comparison_count == 1 &&
+          study->part[0]->comparison_count == 1);
+
+    const double p = study->comparison[0].difference.p;
+    const double q = study->part[0]->comparison[0].difference.p;
+
+    CHECK(p < q);
+    CHECK_NEAR(q, alone->comparison[0].difference.p, 0);
+    CHECK_NEAR(alone->comparison[0].p_holm, q, 0);
+    CHECK_NEAR(study->comparison[0].p_holm, fmin(1, 2 * p), 1e-15);
+    CHECK_NEAR(study->part[0]->comparison[0].p_holm, fmax(fmin(1, 2 * p), q), 1e-15);
+    CHECK_OK(gsn_study_csv(study, &csv, &size, &err), err);
+    size_t lines = 0;
+    for (size_t i = 0; i < size; i++)
+        lines += csv[i] == '\n';
+    CHECK(lines == 1 + 2 * 4);
 }
 
 TEST(the_order_of_specimens_does_not_matter)

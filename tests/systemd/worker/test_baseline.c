@@ -216,6 +216,62 @@ TEST(what_a_run_hands_on_of_its_colours_comes_back_beside_its_tissues)
     }
 }
 
+static const char TWO[] =
+    "{\"specimen\": \"a\", \"px_um\": 24, \"layout\": [2, 2], \"panels\": 1, "
+    "\"baseline\": \"healthy\", \"markers_um\": [[0, 0], [600, 0], [0, 900]], \"region\": "
+    "{\"shape\": \"sphere\", \"centre\": [1, 2, 3], \"radius\": 400}, \"regions\": {\"left\": "
+    "{\"shape\": \"sphere\", \"centre\": [1, 2, 3], \"radius\": 90}, \"right\": "
+    "{\"shape\": \"sphere\", \"centre\": [9, 2, 3], \"radius\": 90}}}";
+
+/* What a run hands on of its named regions comes back beside the regions of that name. */
+TEST(a_named_region_is_compared_with_the_baselines_of_its_name)
+{
+    static struct gsn_specimen_result left = {
+        .name = "left", .definition = "of left", .dyes = "set", .region = "a sphere"
+    };
+    const struct gsn_specimen_result result = { .definition = "of all",
+                                                .dyes = "set",
+                                                .region = "a ball",
+                                                .part = { &left },
+                                                .part_count = 1 };
+    struct gsn_measure_row rows[] = {
+        { .name = "mean_density", .value = 0.75, .lower = NAN, .upper = NAN, .unit = "density" },
+        { .name = "left/mean_density", .value = 0.5, .lower = NAN, .upper = NAN, .unit = "density" },
+        { .name = "left/region_volume", .value = 0.25, .lower = NAN, .upper = NAN, .unit = "mm3" },
+    };
+    scratch_auto scratch = gsn_scratch_new();
+    gsn_auto(gsn_store) store = bench_open(&scratch, GSN_STORE_CREATE);
+    gsn_auto_mem(char) parameters = gsn_run_parameters("key", &result);
+    struct gsn_specimen_row row = bench_specimen("a", "treated", "healthy");
+    const struct gsn_run_end end = { .state = "reported", .measures = rows, .measure_count = 3 };
+    struct gsn_run_row run = { .key = bench_digest(7),
+                               .version = "test",
+                               .inputs_json = "[]",
+                               .parameters_json = parameters };
+    struct gsn_error err = { 0 };
+    int64_t id, run_id;
+
+    row.job_json = TWO;
+    CHECK_OK(gsn_specimen_put(store, &row, GSN_SPECIMEN_REFUSE, "test", NOON, &id, &err), err);
+    run.specimen_id = bench_add_specimen(store, "c", "healthy", "");
+    CHECK_OK(gsn_run_begin(store, &run, NOON, &run_id, &err), err);
+    CHECK_OK(gsn_run_finish(store, run_id, &end, NOON, &err), err);
+    gsn_auto(gsn_job_inputs) inputs = loaded(store, id);
+    const struct gsn_specimen *s = gsn_job_inputs_specimen(inputs);
+
+    CHECK(s->baseline.specimens == 1 && s->baseline.lacking == 0);
+    CHECK_NEAR(s->baseline.mean_density, 0.75, 0);
+    assert_string_equal(s->baseline.region, "a ball");
+    CHECK(s->named[0].baseline.specimens == 1);
+    CHECK_NEAR(s->named[0].baseline.mean_density, 0.5, 0);
+    CHECK_NEAR(s->named[0].baseline.volume_mm3, 0.25, 0);
+    assert_string_equal(s->named[0].baseline.definition, "of left");
+    assert_string_equal(s->named[0].baseline.region, "a sphere");
+    CHECK(s->named[1].baseline.specimens == 0 && s->named[1].baseline.lacking == 1);
+    gsn_auto(gsn_job_inputs) again = NULL;
+    CHECK_EVERY_OOM(gsn_job_inputs_load(store, id, NULL, &again, &err), err);
+}
+
 TEST(colours_that_no_run_wrote_do_no_harm)
 {
     struct control strange = ONE;

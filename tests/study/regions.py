@@ -135,7 +135,7 @@ def main():
         for wrong, said in (({"a b": box("left")}, "is no name of a region"),
                             ({f"r{i}": box("left") for i in range(9)}, "at most 8"),
                             ([box("left")], '"regions" must be'),
-                            ({"left": {"shape": "star"}}, '"left" must be'),
+                            ({"left": {"shape": "box"}}, '"left" must be'),
                             ({"left": "nothing.mhd"}, "there is no such file")):
             check(said in take("wrong", "c1", wrong, ends=65), f"{wrong} is refused: {said}")
     return 0

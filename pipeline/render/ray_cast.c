@@ -29,7 +29,6 @@
 #include "pipeline/core/geom.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/model/pieces.h"
-#include "pipeline/render/projection.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -1119,42 +1118,4 @@ int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *ca
     auto_casting casting = { MODE_SURFACE, spline, clip, style, .with_slope = 0 };
 
     return make_picture(&casting, camera, threads, progress, ret_picture, err);
-}
-
-/* --- the sheet --- */
-
-int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera *camera,
-                  const struct gsn_ray_style *style, const char *title, const char *note,
-                  struct gsn_image **ret_image, struct gsn_error *err)
-{
-    const struct gsn_plate plate = { .title = title,
-                                     .note = note,
-                                     .um_per_px = 1 / camera->px_per_um,
-                                     .has_scale = 1,
-                                     .unit = "density",
-                                     .low = style->low,
-                                     .high = style->high,
-                                     .map = style->map };
-    gsn_auto(gsn_image) sheet = NULL;
-    int x, y, r;
-
-    r = gsn_plate_new(&plate, picture->width, picture->height, &sheet, &x, &y, err);
-    if (r < 0)
-        return r;
-    for (uint32_t j = 0; j < picture->height; j++) {
-        for (uint32_t i = 0; i < picture->width; i++) {
-            const float *p = picture->rgba[(size_t)j * picture->width + i];
-            uint8_t rgb[3];
-
-            for (int c = 0; c < 3; c++)
-                rgb[c] = (uint8_t)fminf(255, 255 * (p[c] + 1 - p[3]) + 0.5F);
-            gsn_canvas_put(sheet, x + (int)i, y + (int)j,
-                           (struct gsn_colour){ rgb[0], rgb[1], rgb[2] });
-        }
-    }
-    r = gsn_axes_paint(sheet, x, y + (int)picture->height, camera, err);
-    if (r < 0)
-        return r;
-    *ret_image = gsn_steal(&sheet);
-    return GSN_OK;
 }

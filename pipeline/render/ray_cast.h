@@ -79,8 +79,15 @@ int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *ca
                     struct gsn_ray_picture **ret_picture,
                     struct gsn_error *err);
 
+/* gives: the sheet: the picture with title (may be NULL), axes of the block, scale bar, and a colour
+ * scale from 0, or the smallest value below, to the largest, in "density x um" unless unit is given.
+ * Fails with GSN_E_NOMEM, and with GSN_E_NOTFOUND without the fonts (lettering.h). */
+int gsn_xray_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,
+                   const char *title, const char *unit, enum gsn_colour_map map,
+                   struct gsn_image **ret_image, struct gsn_error *err);
+
 /* gives: the sheet: the picture on white, title, note, axes of the block, scale bar, and the
- * colour scale of the style. Fails with GSN_E_NOMEM. */
+ * colour scale of the style. Fails alike. */
 int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera *camera,
                   const struct gsn_ray_style *style, const char *title, const char *note,
                   struct gsn_image **ret_image, struct gsn_error *err);

@@ -40,6 +40,9 @@ int gsn_camera_frame(const struct gsn_view *view, const struct gsn_tets *mesh,
 void gsn_camera_project(const struct gsn_camera *camera, const double point[3], double ret_pixel[2],
                         double *ret_depth);
 
+/* The point of the plane through the centre that is seen at (x_px, y_px), um. */
+void gsn_ray_start(const struct gsn_camera *camera, double x_px, double y_px, double ret_point[3]);
+
 #ifdef __cplusplus
 }
 #endif

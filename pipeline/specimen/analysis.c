@@ -18,7 +18,7 @@
 #include "pipeline/render/canvas.h"
 #include "pipeline/render/cut.h"
 #include "pipeline/render/isosurface.h"
-#include "pipeline/render/projection.h"
+#include "pipeline/render/ray_cast.h"
 #include "pipeline/stain/normalisation.h"
 
 #include <assert.h>
@@ -241,7 +241,7 @@ static int measure_region(const struct voxels *v, const struct gsn_grid *grid,
 
 /* ---- pictures ---------------------------------------------------------------------------- */
 
-enum { CUT_PX = 480, XRAY_PX = 440, SURFACE_PX = 600, GUTTER_PX = 12 };
+enum { CUT_PX = 480, XRAY_PX = 440, XRAY_RAYS = 2, SURFACE_PX = 600, GUTTER_PX = 12 };
 
 static int encode_picture(const struct gsn_image *image, struct gsn_png_picture *picture,
                           struct gsn_error *err)
@@ -396,45 +396,50 @@ static struct gsn_view view_of(uint32_t px)
     };
 }
 
-static int draw_xray(const struct gsn_analysis_options *options, const char *unit,
+/* Of the region alone, whose border is smooth; several rays a pixel make it so in the picture. */
+static int draw_xray(const struct gsn_mask *region, const struct gsn_border *border,
+                     const struct gsn_analysis_options *options, const char *unit,
                      struct gsn_analysis *analysis, struct gsn_error *err)
 {
     struct gsn_png_picture *picture = next_picture(analysis, "x-ray", "X-ray");
     const struct gsn_view view = view_of(XRAY_PX);
+    const struct gsn_ray_style style = { .across = XRAY_RAYS };
+    const struct gsn_vec3 step = region->at.step_um;
+    const struct gsn_ray_clip clip = { .border = border,
+                                       .border_step_um = fmin(step.x, fmin(step.y, step.z)) };
     gsn_auto(gsn_plane) plane = NULL;
     gsn_auto(gsn_image) image = NULL;
     struct gsn_camera camera;
-    int r = gsn_projection(analysis->spline, &view, options->threads, options->progress, &plane,
-                           &camera, err);
+    int r = gsn_camera_frame(&view, gsn_dms_mesh(analysis->space), &camera, err);
 
     if (r >= 0)
-        r = gsn_projection_paint(plane, &camera, NULL, unit, 0, 0, GSN_MAP_GREY, &image, err);
+        r = gsn_ray_xray(analysis->spline, &camera, &clip, &style, options->threads,
+                         options->progress, &plane, err);
+    if (r >= 0)
+        r = gsn_xray_paint(plane, &camera, NULL, unit, GSN_MAP_GREY, &image, err);
     if (r >= 0)
         r = encode_picture(image, picture, err);
     if (r < 0)
         return r;
     (void)snprintf(picture->caption, sizeof picture->caption,
-                   "The integral of the fitted spline along every line of sight, by the exact "
-                   "projection formula: no steps, no sampling.");
+                   "The integral of the fitted spline along every line of sight within the region, "
+                   "exact polynomial by polynomial: no steps, no sampling.");
     analysis->picture_count++;
     return GSN_OK;
 }
 
-static int draw_surface(const struct gsn_mask *region, const struct gsn_analysis_options *options,
+static int draw_surface(const struct gsn_border *border, const struct gsn_analysis_options *options,
                         struct gsn_analysis *analysis, struct gsn_error *err)
 {
     struct gsn_png_picture *picture = next_picture(analysis, "isosurface", "Isosurface");
     const double level = analysis->bound[analysis->bound_count / 2].threshold;
     const struct gsn_tets *mesh = gsn_dms_mesh(analysis->space);
     const struct gsn_view view = view_of(SURFACE_PX);
-    gsn_auto(gsn_border) border = NULL;
     gsn_auto(gsn_trimesh) triangles = NULL;
     gsn_auto(gsn_image) image = NULL;
-    int r = gsn_border_new(region, options->threads, &border, err);
-
-    if (r >= 0)
-        r = gsn_isosurface(analysis->spline, level, border, mesh->tet_count > 40000 ? 0 : 1,
+    int r = gsn_isosurface(analysis->spline, level, border, mesh->tet_count > 40000 ? 0 : 1,
                            options->threads, &triangles, err);
+
     if (r >= 0)
         r = gsn_trimesh_paint(triangles, mesh, &view, NULL, options->threads, &image, err);
     if (r >= 0)
@@ -456,6 +461,7 @@ static int draw_pictures(const struct gsn_grid *grid, const struct gsn_mask *reg
                          struct gsn_error *err)
 {
     struct scale scale = { .low = 0, .high = 1, .unit = "density" };
+    gsn_auto(gsn_border) border = NULL;
     int r;
 
     if (protocol->kind == GSN_KIND_VOLUME) {
@@ -469,10 +475,12 @@ static int draw_pictures(const struct gsn_grid *grid, const struct gsn_mask *reg
     r = draw_cuts(grid, region, &scale, options, analysis, err);
     gsn_progress_say(options->progress, "pictures", 3, 5);
     if (r >= 0)
-        r = draw_xray(options, protocol->kind == GSN_KIND_VOLUME ? "value x um" : NULL, analysis,
-                      err);
+        r = gsn_border_new(region, options->threads, &border, err);
+    if (r >= 0)
+        r = draw_xray(region, border, options,
+                      protocol->kind == GSN_KIND_VOLUME ? "value x um" : NULL, analysis, err);
     gsn_progress_say(options->progress, "pictures", 4, 5);
-    return r < 0 ? r : draw_surface(region, options, analysis, err);
+    return r < 0 ? r : draw_surface(border, options, analysis, err);
 }
 
 /* ---- together ---------------------------------------------------------------------------- */

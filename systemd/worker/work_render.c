@@ -17,7 +17,6 @@
 #include "pipeline/core/file.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/decode/png_write.h"
-#include "pipeline/render/projection.h"
 #include "pipeline/render/ray_cast.h"
 #include "systemd/worker/kept_run.h"
 #include "systemd/worker/work_verbs.h"
@@ -218,8 +217,7 @@ static int draw_xray(struct render *e, struct gsn_error *err)
     (void)snprintf(e->title, sizeof e->title, "%s: X-ray, %s", e->request->rest[0],
                    through_eye(e));
     if (r >= 0)
-        r = gsn_projection_paint(plane, &e->camera, e->title, NULL, 0, 0, GSN_MAP_VIRIDIS,
-                                 &e->image, err);
+        r = gsn_xray_paint(plane, &e->camera, e->title, NULL, GSN_MAP_VIRIDIS, &e->image, err);
     return r;
 }
 

@@ -7,7 +7,6 @@
  * Errors are rms over pixels. Of the linear field the truth is a closed form (a chord of the cube),
  * of the spline the integral along a few segments. */
 #include "pipeline/model/resample.h"
-#include "pipeline/render/ray.h"
 #include "pipeline/render/ray_cast.h"
 
 #include "tests/bench/bench.h"

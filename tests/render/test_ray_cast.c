@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "pipeline/model/pieces.h"
-#include "pipeline/render/ray.h"
 #include "tests/check.h"
 #include "tests/measure/kuhn.h"
 

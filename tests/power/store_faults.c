@@ -100,6 +100,11 @@ static int copy_one(const char *path, const struct stat *st, int what, struct FT
         return -1;
     if (what == FTW_D)
         return mkdir(to, 0755);
+    if (what == FTW_SL) {
+        char target[256] = ""; /* of the last report: a folder's name */
+
+        return readlink(path, target, sizeof target - 1) < 0 ? -1 : symlink(target, to);
+    }
     if (gsn_file_read(path, (size_t)st->st_size, &bytes, &size, &err) < 0)
         power_give_up(err.text);
     FILE *const file = fopen(to, "wb"); /* door: SQLite's files must not be renamed into place */

@@ -16,8 +16,8 @@ cd "$root"
 
 core=$(ls pipeline/core/*.c | grep -v sandbox)
 acquire=$(ls acquire/*.c)
-flags="-std=gnu17 -D_GNU_SOURCE -DGSN_VERSION=\"fuzz\" -DGSN_LIBEXECDIR=\"/\" -I. -g $(pkg-config --cflags libusb-1.0 jansson)"
-libraries="$(pkg-config --libs libusb-1.0 jansson zlib libcrypto) -lm -lpthread"
+flags="-std=gnu17 -D_GNU_SOURCE -DGSN_VERSION=\"fuzz\" -DGSN_LIBEXECDIR=\"/\" -I. -g $(pkg-config --cflags libusb-1.0 jansson gsl)"
+libraries="$(pkg-config --libs libusb-1.0 jansson zlib libcrypto gsl) -lm -lpthread"
 sanitizers="-fsanitize=address,undefined -fno-sanitize-recover=all"
 # No run lives long: a small quarantine keeps freed memory from being new pages each time, which took
 # a tenth of the time.

@@ -121,14 +121,11 @@ static void set_ink(struct gsn_paper *paper, double grey)
     cairo_set_source_rgb(paper->cairo, grey, grey, grey);
 }
 
-/* Draws a text within a width and returns its height; with a negative y it is measured alone. */
-static double place_text(struct gsn_paper *paper, enum gsn_face face, double pt, double x, double y,
-                         double width, PangoAlignment side, const char *text)
+/* Draws the layout unless y is below 0, and frees it; returns its height in points. */
+static double put_layout(struct gsn_paper *paper, PangoLayout *layout, double x, double y)
 {
-    PangoLayout *layout = gsn_lettering_layout(paper->letters, face, pt, text, width);
     int height;
 
-    pango_layout_set_alignment(layout, side);
     pango_layout_get_size(layout, NULL, &height);
     if (y >= 0) {
         cairo_move_to(paper->cairo, x, y);
@@ -136,6 +133,16 @@ static double place_text(struct gsn_paper *paper, enum gsn_face face, double pt,
     }
     g_object_unref(layout);
     return (double)height / PANGO_SCALE;
+}
+
+/* Draws a text within a width and returns its height; with a negative y it is measured alone. */
+static double place_text(struct gsn_paper *paper, enum gsn_face face, double pt, double x, double y,
+                         double width, PangoAlignment side, const char *text)
+{
+    PangoLayout *layout = gsn_lettering_layout(paper->letters, face, pt, text, width);
+
+    pango_layout_set_alignment(layout, side);
+    return put_layout(paper, layout, x, y);
 }
 
 static void end_page(struct gsn_paper *paper)
@@ -371,19 +378,12 @@ static double place_lines(struct gsn_paper *paper, double x, double y, double wi
         gsn_lettering_layout(paper->letters, GSN_FACE_PLAIN, grid_pt, text, width);
     PangoAttrList *list = pango_attr_list_new();
     PangoAttribute *bold = pango_attr_weight_new(PANGO_WEIGHT_BOLD);
-    int height;
 
     bold->end_index = (guint)strcspn(pango_layout_get_text(layout), "\n");
     pango_attr_list_insert(list, bold);
     pango_layout_set_attributes(layout, list);
     pango_attr_list_unref(list);
-    pango_layout_get_size(layout, NULL, &height);
-    if (y >= 0) {
-        cairo_move_to(paper->cairo, x, y);
-        pango_cairo_show_layout(paper->cairo, layout);
-    }
-    g_object_unref(layout);
-    return (double)height / PANGO_SCALE;
+    return put_layout(paper, layout, x, y);
 }
 
 void gsn_paper_grid(struct gsn_paper *paper, const struct gsn_paper_cell *cell, size_t count,

@@ -24,7 +24,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "phantom"))
 from recompute_loss import Block  # noqa: E402
 
 LOW, HIGH, Z, CENTRE, RADIUS = 250, 630, (120, 720), (411, 646), 900
-STEP = 40  # of the true band's midpoints, um; 20 moves its loss by less than 0.1 points
+STEP = 40  # of the true band's midpoints, um
 WITHIN = 1.0
 
 

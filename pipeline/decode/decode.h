@@ -28,9 +28,10 @@ struct gsn_decode_limits {
     int codes; /* 1: the codes printed on the picture are read too */
     int light; /* 1: an embedded ICC profile is undone, so that samples are linear light */
     /* 1: the file is a slide of several levels, each the picture at another pixel size (a pyramid
-     * of tiles in one TIFF, Aperio's SVS among them), and one of them is decoded: the coarsest
-     * whose pixels are at most target_um, or this level where target_um is 0; level 0 is the
-     * finest. The file must then state the size of its pixels, and they must be square. */
+     * of tiles in one TIFF, Aperio's SVS among them, or Hamamatsu's NDPI), and one of them is
+     * decoded: the coarsest whose pixels are at most target_um, or this level where target_um is 0;
+     * level 0 is the finest. The file must then state the size of its pixels, and they must be
+     * square. */
     int slide;
     unsigned level;
     double target_um;

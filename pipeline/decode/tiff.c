@@ -128,9 +128,11 @@ static int count_pages(struct gsn_bytes file, unsigned *ret_pages, struct gsn_er
 
 /* --- slides --- */
 
-/* Slides: the levels of a pyramid in one TIFF, as OpenSlide's "aperio" and "generic-tiff" have
- * them. The finest level is the first page; the others are tiled pages of the same picture made
- * smaller. Aperio's thumbnail, label and overview are not tiled, and no levels. */
+/* Slides: the levels of a pyramid in one TIFF, as OpenSlide's "aperio", "generic-tiff" and
+ * "hamamatsu" (NDPI) have them. The finest level is the first page; the others are pages of the
+ * same picture made smaller, in tiles; Aperio's thumbnail, label and overview are not tiled, and no
+ * levels. NDPI's pages are one JPEG strip each, and a tag of its own tells the levels from the
+ * macro image and the map, another the focal planes above and below. */
 
 enum { MOST_LEVELS = 32 };
 
@@ -148,6 +150,10 @@ struct slide {
     unsigned count;
     struct level level[MOST_LEVELS]; /* finest first */
 };
+
+/* Hamamatsu's own tags, as OpenSlide's openslide-vendor-hamamatsu.c names them: the file is NDPI;
+ * magnification of the page's lens, negative for the macro image and the map; its focal plane. */
+enum { NDPI_FORMAT = 65420, NDPI_LENS = 65421, NDPI_FOCAL_PLANE = 65424 };
 
 static const char *description(TIFF *tiff)
 {
@@ -176,6 +182,37 @@ static double aperio_um(TIFF *tiff)
     return gsn_words_numbers(number, &um, 1) && um > 0.01 && um < 1000 ? um : 0;
 }
 
+/* The first value of a tag that libtiff does not know; NULL where the page has none of this type.
+ */
+static const void *private_value(TIFF *tiff, uint32_t tag, TIFFDataType type)
+{
+    const TIFFField *field = TIFFFindField(tiff, tag, TIFF_ANY);
+    uint32_t count = 0;
+    void *values = NULL;
+
+    if (!field || TIFFFieldDataType(field) != type || !TIFFFieldPassCount(field))
+        return NULL;
+    return TIFFGetField(tiff, tag, &count, &values) && count > 0 ? values : NULL;
+}
+
+static int is_hamamatsu(TIFF *tiff)
+{
+    return private_value(tiff, NDPI_FORMAT, TIFF_LONG) != NULL;
+}
+
+/* Whether the current page may be a level at all, by the layout of its vendor. */
+static int is_level_page(TIFF *tiff, int hamamatsu)
+{
+    const float *lens;
+    const int32_t *plane;
+
+    if (!hamamatsu)
+        return TIFFIsTiled(tiff);
+    lens = private_value(tiff, NDPI_LENS, TIFF_FLOAT);
+    plane = private_value(tiff, NDPI_FOCAL_PLANE, TIFF_SLONG);
+    return lens && *lens > 0 && !(plane && *plane != 0);
+}
+
 static int has_shape(const struct level *finest, uint32_t width, uint32_t height)
 {
     const double scale = (double)finest->width / width;
@@ -193,7 +230,7 @@ static void add_level(struct slide *slide, const struct level *level)
     slide->level[at] = *level;
 }
 
-static void find_levels(TIFF *tiff, unsigned pages, struct slide *slide)
+static void find_levels(TIFF *tiff, unsigned pages, int hamamatsu, struct slide *slide)
 {
     for (unsigned page = 0; page < pages && slide->count < MOST_LEVELS; page++) {
         struct level level = { .page = (tdir_t)page };
@@ -202,8 +239,8 @@ static void find_levels(TIFF *tiff, unsigned pages, struct slide *slide)
             !TIFFGetField(tiff, TIFFTAG_IMAGEWIDTH, &level.width) ||
             !TIFFGetField(tiff, TIFFTAG_IMAGELENGTH, &level.height))
             return;
-        if (page == 0 ||
-            (TIFFIsTiled(tiff) && has_shape(&slide->level[0], level.width, level.height)))
+        if (page == 0 || (is_level_page(tiff, hamamatsu) &&
+                          has_shape(&slide->level[0], level.width, level.height)))
             add_level(slide, &level);
     }
 }
@@ -254,7 +291,10 @@ static unsigned level_for(const struct slide *slide, double um, double target_um
 static int choose_level(struct gsn_tiff *t, const struct gsn_decode_limits *limits,
                         struct gsn_picture *picture, struct gsn_error *err)
 {
-    const char *vendor = is_aperio(t->tiff) ? "Aperio slide" : "tiled slide";
+    const int hamamatsu = is_hamamatsu(t->tiff);
+    const char *vendor = hamamatsu            ? "Hamamatsu slide"
+                         : is_aperio(t->tiff) ? "Aperio slide"
+                                              : "tiled slide";
     struct slide slide = { 0 };
     unsigned level = limits->level;
     double um = 0;
@@ -262,7 +302,7 @@ static int choose_level(struct gsn_tiff *t, const struct gsn_decode_limits *limi
 
     if (r < 0)
         return r;
-    find_levels(t->tiff, picture->pages, &slide);
+    find_levels(t->tiff, picture->pages, hamamatsu, &slide);
     if (limits->target_um > 0)
         level = level_for(&slide, um, limits->target_um);
     if (level >= slide.count)
@@ -452,6 +492,9 @@ static void read_tags(struct gsn_tiff *t)
         t->orientation = 1;
 }
 
+/* Aperio's own numbers of it. */
+enum { APERIO_JPEG_2000_YCC = 33003, APERIO_JPEG_2000_RGB = 33005 };
+
 static int check_compression(const struct gsn_tiff *t, struct gsn_error *err)
 {
     switch (t->compression) {
@@ -465,6 +508,12 @@ static int check_compression(const struct gsn_tiff *t, struct gsn_error *err)
     case COMPRESSION_OJPEG:
         return gsn_fail(err, GSN_E_UNSUPPORTED,
                         "a TIFF with old-style JPEG compression: scan again with LZW or JPEG");
+    case APERIO_JPEG_2000_YCC:
+    case APERIO_JPEG_2000_RGB:
+    case COMPRESSION_JP2000:
+        return gsn_fail(err, GSN_E_UNSUPPORTED,
+                        "a TIFF with JPEG 2000 compression (%u): export it with JPEG",
+                        t->compression);
     default:
         return gsn_fail(err, GSN_E_UNSUPPORTED,
                         "a TIFF with compression %u: scan again with LZW, Deflate or JPEG",

@@ -186,6 +186,118 @@ TEST(every_level_of_a_tiled_pyramid_is_what_was_written)
     check_slide(&slide, 4, "generic-tiff", "tiled slide, level 1 of 3 (0 to 2), 8 um");
 }
 
+/* --- NDPI --- */
+
+enum { NDPI_FORMAT = 65420, NDPI_LENS = 65421, NDPI_FOCAL_PLANE = 65424 };
+
+static void know_ndpi(TIFF *tiff)
+{
+    static char format[] = "NdpiFormat", lens[] = "SourceLens", plane[] = "FocalPlane";
+    static const TIFFFieldInfo fields[] = {
+        { NDPI_FORMAT, 1, 1, TIFF_LONG, FIELD_CUSTOM, 1, 0, format },
+        { NDPI_LENS, 1, 1, TIFF_FLOAT, FIELD_CUSTOM, 1, 0, lens },
+        { NDPI_FOCAL_PLANE, 1, 1, TIFF_SLONG, FIELD_CUSTOM, 1, 0, plane },
+    };
+
+    CHECK(TIFFMergeFieldInfo(tiff, fields, 3) == 0);
+}
+
+/* A ramp, which JPEG keeps to a few codes; shade tells the pages apart. */
+static uint8_t ramp(unsigned level, unsigned x, unsigned y)
+{
+    return (uint8_t)(60 + ((x + y) << level) / 8);
+}
+
+/* One JPEG strip, as Hamamatsu writes a page. */
+static void write_ndpi_page(TIFF *tiff, unsigned level, double lens, int plane)
+{
+    const unsigned width = WIDTH >> level, height = HEIGHT >> level;
+    uint8_t row[WIDTH * 3];
+
+    know_ndpi(tiff);
+    TIFFSetField(tiff, TIFFTAG_IMAGEWIDTH, width);
+    TIFFSetField(tiff, TIFFTAG_IMAGELENGTH, height);
+    TIFFSetField(tiff, TIFFTAG_BITSPERSAMPLE, 8);
+    TIFFSetField(tiff, TIFFTAG_SAMPLESPERPIXEL, 3);
+    TIFFSetField(tiff, TIFFTAG_PLANARCONFIG, PLANARCONFIG_CONTIG);
+    TIFFSetField(tiff, TIFFTAG_COMPRESSION, COMPRESSION_JPEG);
+    TIFFSetField(tiff, TIFFTAG_PHOTOMETRIC, PHOTOMETRIC_YCBCR);
+    TIFFSetField(tiff, TIFFTAG_JPEGCOLORMODE, JPEGCOLORMODE_RGB);
+    TIFFSetField(tiff, TIFFTAG_JPEGTABLESMODE, 0);
+    TIFFSetField(tiff, TIFFTAG_JPEGQUALITY, 95);
+    TIFFSetField(tiff, TIFFTAG_ROWSPERSTRIP, height);
+    TIFFSetField(tiff, TIFFTAG_MAKE, "Hamamatsu");
+    TIFFSetField(tiff, TIFFTAG_RESOLUTIONUNIT, RESUNIT_CENTIMETER);
+    TIFFSetField(tiff, TIFFTAG_XRESOLUTION, 2500. / (1 << level));
+    TIFFSetField(tiff, TIFFTAG_YRESOLUTION, 2500. / (1 << level));
+    TIFFSetField(tiff, NDPI_FORMAT, 1);
+    TIFFSetField(tiff, NDPI_LENS, lens);
+    TIFFSetField(tiff, NDPI_FOCAL_PLANE, plane);
+    for (unsigned y = 0; y < height; y++) {
+        for (unsigned x = 0; x < width; x++)
+            memset(row + 3 * x, lens > 0 && plane == 0 ? ramp(level, x, y) : 20, 3);
+        CHECK(TIFFWriteScanline(tiff, row, y, 0) > 0);
+    }
+    CHECK(TIFFWriteDirectory(tiff));
+}
+
+/* Pages as a scanner orders them: the finest level, a focal plane above it, the next level, the
+ * macro image, here of the very shape of a level. */
+static char *write_ndpi(const struct gsn_scratch *scratch, uint8_t **ret_bytes, size_t *ret_size)
+{
+    char *path = gsn_format("%s/slide.ndpi", scratch->dir);
+    TIFF *tiff = TIFFOpen(path, "w");
+    struct gsn_error err = { 0 };
+
+    CHECK(tiff);
+    write_ndpi_page(tiff, 0, 20, 0);
+    write_ndpi_page(tiff, 0, 20, 4000);
+    write_ndpi_page(tiff, 1, 10, 4000);
+    write_ndpi_page(tiff, 1, 10, 0);
+    write_ndpi_page(tiff, 2, -1, 0);
+    TIFFClose(tiff);
+    CHECK_OK(gsn_file_read(path, 16 << 20, ret_bytes, ret_size, &err), err);
+    return path;
+}
+
+static void check_ramp(const struct gsn_picture *picture, unsigned level)
+{
+    const struct gsn_image *image = picture->image;
+
+    CHECK(image->width == (unsigned)WIDTH >> level && image->height == (unsigned)HEIGHT >> level);
+    for (unsigned y = 0; y < image->height; y++)
+        for (unsigned x = 0; x < image->width; x++)
+            CHECK_NEAR(gsn_image_at(image, x, y, 0), ramp(level, x, y), 6);
+}
+
+TEST(the_levels_of_an_ndpi_slide_are_its_lenses_in_the_middle_focal_plane)
+{
+    scratch_auto scratch = gsn_scratch_new();
+    uint8_t *read = NULL;
+    size_t size = 0;
+    gsn_auto_mem(char) path = write_ndpi(&scratch, &read, &size);
+    gsn_auto_mem(uint8_t) bytes = read;
+    const struct gsn_decode_limits third = { .slide = 1, .level = 2 };
+    struct gsn_picture *none = NULL;
+    struct gsn_error err = { 0 };
+
+    for (unsigned level = 0; level < 2; level++) {
+        const struct gsn_decode_limits limits = { .slide = 1, .level = level };
+        gsn_auto(gsn_picture) picture = NULL;
+
+        CHECK_OK(gsn_decode(bytes, size, &limits, &picture, &err), err);
+        check_ramp(picture, level);
+        CHECK_NEAR(picture->px_um_x, 4. * (1 << level), 1e-5);
+        assert_string_equal(picture->note, level == 0
+                                               ? "Hamamatsu slide, level 0 of 2 (0 to 1), 4 um"
+                                               : "Hamamatsu slide, level 1 of 2 (0 to 1), 8 um");
+    }
+    CHECK(gsn_decode(bytes, size, &third, &none, &err) == GSN_E_INPUT);
+#ifdef GSN_HAS_OPENSLIDE
+    assert_string_equal(openslide_detect_vendor(path), "hamamatsu");
+#endif
+}
+
 static int decode_slide(const struct slide *slide, const struct gsn_decode_limits *limits,
                         struct gsn_picture **ret_picture, struct gsn_error *err)
 {

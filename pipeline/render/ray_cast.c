@@ -29,16 +29,13 @@
 #include "pipeline/core/geom.h"
 #include "pipeline/core/parallel.h"
 #include "pipeline/model/pieces.h"
+#include "pipeline/render/rays_internal.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* Of a part of a stretch. A ray's parts take less than twice this in all, and what is behind a ray
- * that has this little left is not looked at. */
-#define PART_TOLERANCE (GSN_RAY_TOLERANCE / 3)
-
-enum { TILE = 16, PER_CHUNK = 512, MOST_SPANS = 64, BATCHES = 20, COLOURS = 17 };
+enum { TILE = 16, PER_CHUNK = 512, BATCHES = 20 };
 
 void gsn_ray_picture_free(struct gsn_ray_picture *picture)
 {
@@ -63,8 +60,8 @@ struct casting {
     const struct gsn_ray_style *style;
     struct gsn_camera camera; /* of rays, style->across a pixel's side */
     int with_slope;
-    double colour[COLOURS][3], steepest; /* of the map; most change of a channel a unit of share */
-    double blur; /* a gradient of this size is half shaded: four windows over the picture */
+    struct gsn_ray_colours colours;
+    double blur;
     size_t items; /* four faces and a tetrahedron each */
     struct reach *reach;
     size_t tiles_across, tiles_down, first_tile;
@@ -209,66 +206,6 @@ static int bin_items(struct casting *casting, unsigned threads, struct gsn_error
     return GSN_OK;
 }
 
-/* --- rays --- */
-
-struct ray {
-    double start[3], into[3], from, to; /* |into| = 1 */
-};
-
-/* The ray of a pixel; its start lies in the plane of the picture. */
-static struct ray ray_of(const struct gsn_camera *camera, uint32_t x, uint32_t y)
-{
-    const double right = (x + 0.5 + 1.1e-9 - 0.5 * camera->width) / camera->px_per_um;
-    const double down = (y + 0.5 + 0.7e-9 - 0.5 * camera->height) / camera->px_per_um;
-    struct ray ray = { .from = -INFINITY, .to = INFINITY };
-    double length = 0;
-
-    for (int c = 0; c < 3; c++) {
-        ray.start[c] = camera->centre[c] + right * camera->right[c] + down * camera->down[c];
-        ray.into[c] = camera->into[c];
-        if (camera->eye_um > 0)
-            ray.into[c] = ray.start[c] - (camera->centre[c] - camera->eye_um * camera->into[c]);
-        length += ray.into[c] * ray.into[c];
-    }
-    length = sqrt(length);
-    for (int c = 0; c < 3; c++)
-        ray.into[c] /= length;
-    if (camera->eye_um > 0)
-        ray.from = -length;
-    return ray;
-}
-
-static void ray_point(const struct ray *ray, double t, double ret[3])
-{
-    for (int c = 0; c < 3; c++)
-        ret[c] = ray->start[c] + t * ray->into[c];
-}
-
-static void clip_half_space(struct ray *ray, double at, double rise)
-{
-    if (rise > 0)
-        ray->from = fmax(ray->from, -at / rise);
-    else if (rise < 0)
-        ray->to = fmin(ray->to, -at / rise);
-    else if (at < 0)
-        ray->to = ray->from;
-}
-
-static void clip_ray(const struct gsn_ray_clip *clip, struct ray *ray)
-{
-    for (int c = 0; clip->has_box && c < 3; c++) {
-        clip_half_space(ray, ray->start[c] - clip->low[c], ray->into[c]);
-        clip_half_space(ray, clip->high[c] - ray->start[c], -ray->into[c]);
-    }
-    for (size_t p = 0; p < clip->plane_count; p++) {
-        const double *plane = clip->plane[p];
-        const double away[3] = { ray->start[0] - plane[0], ray->start[1] - plane[1],
-                                 ray->start[2] - plane[2] };
-
-        clip_half_space(ray, -gsn_dot3(away, plane + 3), -gsn_dot3(ray->into, plane + 3));
-    }
-}
-
 /* --- the pieces of the rays of a tile --- */
 
 struct kept {
@@ -287,13 +224,14 @@ struct end {
 struct tile {
     const struct casting *casting;
     uint32_t low[2], size[2]; /* rays */
-    struct ray ray[TILE * TILE];
+    struct gsn_ray ray[TILE * TILE];
     struct kept *kept;
     size_t count, room;
     uint32_t *order; /* of kept, by ray */
     struct end *end;
     int32_t *active;
     size_t end_room;
+    struct gsn_ray_spans spans; /* of one ray */
 };
 
 static void tile_done(struct tile *tile)
@@ -302,6 +240,7 @@ static void tile_done(struct tile *tile)
     gsn_free(tile->order);
     gsn_free(tile->end);
     gsn_free(tile->active);
+    gsn_ray_spans_done(&tile->spans);
 }
 #define auto_tile __attribute__((cleanup(tile_done))) struct tile
 
@@ -343,7 +282,7 @@ static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *fac
             continue;
         for (uint32_t x = 0; r >= 0 && x < tile->size[0]; x++) {
             const size_t at = y * TILE + x;
-            const struct ray *ray = &tile->ray[at];
+            const struct gsn_ray *ray = &tile->ray[at];
             size_t count;
 
             if ((int)(tile->low[0] + x) < reach.low[0] ||
@@ -357,48 +296,6 @@ static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *fac
         }
     }
     return r;
-}
-
-/* Where the ray is in the region: between the ends of spans. The distance from the border is no
- * more than twice as steep between voxels as it is in space, so that half of it is a step that
- * passes over no border; near one it is looked at every half voxel, and found to a millionth of
- * that. */
-static size_t find_spans(const struct gsn_ray_clip *clip, const struct ray *ray, double from,
-                         double to, double ret_span[MOST_SPANS][2])
-{
-    const double step = 0.5 * clip->border_step_um;
-    size_t count = 0;
-    int was_in = 0;
-
-    for (double t = from, low = from; count < MOST_SPANS;) {
-        double u[3], distance, high = t;
-        int is_in;
-
-        ray_point(ray, t, u);
-        distance = gsn_border_at(clip->border, u, NULL);
-        is_in = distance > 0;
-        while (is_in != was_in && high - low > 1e-6 * step) {
-            const double middle = (low + high) / 2;
-
-            ray_point(ray, middle, u);
-            if ((gsn_border_at(clip->border, u, NULL) > 0) == was_in)
-                low = middle;
-            else
-                high = middle;
-        }
-        if (is_in && !was_in)
-            ret_span[count][0] = high;
-        else if (!is_in && was_in)
-            ret_span[count++][1] = high;
-        was_in = is_in;
-        if (!(t < to))
-            break;
-        low = t;
-        t = fmin(to, t + fmax(step, fabs(distance) / 2));
-    }
-    if (was_in && count < MOST_SPANS)
-        ret_span[count++][1] = to;
-    return count;
 }
 
 static int by_place(const void *a, const void *b)
@@ -505,22 +402,11 @@ struct seen {
     int done, any;
 };
 
-static void colour_at(const struct casting *casting, double share, double ret[3])
-{
-    const double place = fmin(1, fmax(0, share)) * (COLOURS - 1);
-    const size_t below = (size_t)fmin(COLOURS - 2, place);
-
-    for (int c = 0; c < 3; c++)
-        ret[c] = casting->colour[below][c] + (place - (double)below) *
-                                                 (casting->colour[below + 1][c] -
-                                                  casting->colour[below][c]);
-}
-
 /* What is integrated over a part of a stretch: extinction as a polynomial in 0..1 times length. */
 struct glow {
     const struct casting *casting;
     const struct stretch *stretch;
-    const struct ray *ray;
+    const struct gsn_ray *ray;
     double at, scale; /* the part in the stretch */
     double share[4];  /* of the window */
     double depth[5];  /* optical, from the part's beginning */
@@ -554,7 +440,7 @@ static void add_glow(const struct glow *glow, double v, double weight, double su
     const double shade = shade_at(glow, v);
     double colour[3];
 
-    colour_at(glow->casting, poly_at(glow->share, v), colour);
+    gsn_ray_colour_at(&glow->casting->colours, poly_at(glow->share, v), colour);
     for (int c = 0; c < 3; c++)
         sum[c] += bright * (shade * colour[c] - glow->middle[c]);
 }
@@ -595,7 +481,7 @@ static void integrate_glow(const struct glow *glow, double low, double high, dou
 }
 
 /* The part of a stretch between two crossings of the window's ends. */
-static void add_part(const struct casting *casting, const struct ray *ray,
+static void add_part(const struct casting *casting, const struct gsn_ray *ray,
                      const struct stretch *stretch, const double share[4], double low, double high,
                      struct seen *seen)
 {
@@ -615,22 +501,22 @@ static void add_part(const struct casting *casting, const struct ray *ray,
         glow.depth[i + 1] = glow.rate[i] / (i + 1);
     }
     gone = -expm1(-(glow.depth[1] + glow.depth[2] + glow.depth[3] + glow.depth[4]));
-    colour_at(casting, fmin(1, middle), glow.middle);
+    gsn_ray_colour_at(&casting->colours, fmin(1, middle), glow.middle);
     for (int c = 0; c < 3; c++)
         glow.middle[c] *= shade_at(&glow, 0.5);
     poly_range(glow.share, &least, &most);
-    spread = casting->with_slope ? 1 : casting->steepest * (most - least);
+    spread = casting->with_slope ? 1 : casting->colours.steepest * (most - least);
     /* The tolerance is shared by the light of the part, but no less than evenly over parts. */
-    allowed = PART_TOLERANCE * fmax(gone, stretch->share / seen->left);
+    allowed = GSN_RAY_PART_TOLERANCE * fmax(gone, stretch->share / seen->left);
     if (gone * spread > allowed)
         integrate_glow(&glow, 0, 1, allowed, 12, sum);
     for (int c = 0; c < 3; c++)
         seen->light[c] += seen->left * (gone * glow.middle[c] + sum[c]);
     seen->left *= 1 - gone;
-    seen->done = seen->left < PART_TOLERANCE;
+    seen->done = seen->left < GSN_RAY_PART_TOLERANCE;
 }
 
-static void add_volume(const struct casting *casting, const struct ray *ray,
+static void add_volume(const struct casting *casting, const struct gsn_ray *ray,
                        const struct stretch *stretch, struct seen *seen)
 {
     const double width = casting->style->high - casting->style->low;
@@ -688,7 +574,7 @@ static void light_surface(const struct gsn_camera *camera, const double normal[3
         ret[c] = fmin(1, base[c] * (0.30 + 0.62 * diffuse + 0.16 * fill) + 0.15 * shine);
 }
 
-static void meet_surface(const struct casting *casting, const struct ray *ray,
+static void meet_surface(const struct casting *casting, const struct gsn_ray *ray,
                          const struct stretch *stretch, double v, int cut, struct seen *seen)
 {
     const struct gsn_ray_style *style = casting->style;
@@ -696,7 +582,8 @@ static void meet_surface(const struct casting *casting, const struct ray *ray,
     double u[3], value, gradient[3] = { 0, 0, 0 }, base[3];
     size_t hint = 0;
 
-    ray_point(ray, stretch->from + v * stretch->length, u);
+    for (int c = 0; c < 3; c++)
+        u[c] = ray->start[c] + (stretch->from + v * stretch->length) * ray->into[c];
     seen->done = 1;
     seen->left = 0;
     if (!cut) {
@@ -704,8 +591,8 @@ static void meet_surface(const struct casting *casting, const struct ray *ray,
         light_surface(&casting->camera, gradient, bone, seen->light);
         return;
     }
-    colour_at(casting, (poly_at(stretch->value, v) - style->low) / (style->high - style->low),
-              base);
+    gsn_ray_colour_at(&casting->colours,
+                      (poly_at(stretch->value, v) - style->low) / (style->high - style->low), base);
     memcpy(seen->light, base, sizeof base);
     /* A cut is flat and shows its colour as the scale has it; the border of the region is round. */
     if (clip && clip->border &&
@@ -713,7 +600,7 @@ static void meet_surface(const struct casting *casting, const struct ray *ray,
         light_surface(&casting->camera, gradient, base, seen->light);
 }
 
-static void find_surface(const struct casting *casting, const struct ray *ray,
+static void find_surface(const struct casting *casting, const struct gsn_ray *ray,
                          const struct stretch *stretch, struct seen *seen)
 {
     double root[3];
@@ -742,7 +629,7 @@ static void sum_active(const struct tile *tile, const int32_t *active, size_t co
     }
 }
 
-static void add_stretch(const struct casting *casting, const struct ray *ray,
+static void add_stretch(const struct casting *casting, const struct gsn_ray *ray,
                         const struct stretch *stretch, struct seen *seen)
 {
     const double *c = stretch->value;
@@ -757,7 +644,7 @@ static void add_stretch(const struct casting *casting, const struct ray *ray,
 }
 
 /* Goes along the ends in order, keeping what is active. */
-static void follow_ray(struct tile *tile, const struct ray *ray, size_t ends, struct seen *seen)
+static void follow_ray(struct tile *tile, const struct gsn_ray *ray, size_t ends, struct seen *seen)
 {
     const double least = 1e-9 / tile->casting->camera.px_per_um; /* um: rounding of places */
     size_t active = 0, homes = 0;
@@ -818,22 +705,17 @@ static int make_end_room(struct tile *tile, size_t ends, struct gsn_error *err)
 }
 
 /* The pieces order[0..count) belong to the ray. */
-static int cast_ray(struct tile *tile, const struct ray *ray, const uint32_t *order, size_t count,
-                    struct seen *seen, struct gsn_error *err)
+static int cast_ray(struct tile *tile, const struct gsn_ray *ray, const uint32_t *order,
+                    size_t count, struct seen *seen, struct gsn_error *err)
 {
     const struct gsn_ray_clip *clip = tile->casting->clip;
-    double span[MOST_SPANS][2] = { { ray->from, ray->to } };
     double from = INFINITY, to = -INFINITY;
-    size_t ends = 0, spans = 1;
-    const int r = make_end_room(tile, 2 * count + 2 * MOST_SPANS, err);
+    size_t ends = 0;
+    int r;
 
-    if (r < 0)
-        return r;
     for (size_t i = 0; i < count; i++) {
         const struct kept *kept = &tile->kept[order[i]];
 
-        tile->end[ends++] = (struct end){ kept->piece.from, (int32_t)order[i], 1 };
-        tile->end[ends++] = (struct end){ kept->piece.to, (int32_t)order[i], 0 };
         if (kept->home) {
             from = fmin(from, kept->piece.from);
             to = fmax(to, kept->piece.to);
@@ -841,13 +723,22 @@ static int cast_ray(struct tile *tile, const struct ray *ray, const uint32_t *or
     }
     if (!(from < to))
         return GSN_OK;
-    span[0][0] = from;
-    span[0][1] = to;
-    if (clip && clip->border)
-        spans = find_spans(clip, ray, from, to, span);
-    for (size_t i = 0; i < spans; i++) {
-        tile->end[ends++] = (struct end){ span[i][0], -1, 1 };
-        tile->end[ends++] = (struct end){ span[i][1], -1, 0 };
+    tile->spans.count = 0;
+    r = clip && clip->border ? gsn_ray_find_spans(clip, ray, from, to, &tile->spans, err)
+                             : gsn_ray_add_span(&tile->spans, from, to, err);
+    if (r >= 0)
+        r = make_end_room(tile, 2 * (count + tile->spans.count), err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < count; i++) {
+        const struct gsn_line_piece *piece = &tile->kept[order[i]].piece;
+
+        tile->end[ends++] = (struct end){ piece->from, (int32_t)order[i], 1 };
+        tile->end[ends++] = (struct end){ piece->to, (int32_t)order[i], 0 };
+    }
+    for (size_t i = 0; i < tile->spans.count; i++) {
+        tile->end[ends++] = (struct end){ tile->spans.span[i][0], -1, 1 };
+        tile->end[ends++] = (struct end){ tile->spans.span[i][1], -1, 0 };
     }
     qsort(tile->end, ends, sizeof *tile->end, by_place);
     follow_ray(tile, ray, ends, seen);
@@ -901,9 +792,9 @@ static int cast_tile(size_t index, void *context, struct gsn_error *err)
     tile.size[1] = (uint32_t)fmin(TILE, camera->height - tile.low[1]);
     for (uint32_t y = 0; y < tile.size[1]; y++) {
         for (uint32_t x = 0; x < tile.size[0]; x++) {
-            tile.ray[y * TILE + x] = ray_of(camera, tile.low[0] + x, tile.low[1] + y);
+            tile.ray[y * TILE + x] = gsn_ray_of(camera, tile.low[0] + x, tile.low[1] + y);
             if (casting->clip)
-                clip_ray(casting->clip, &tile.ray[y * TILE + x]);
+                gsn_ray_cut(casting->clip, &tile.ray[y * TILE + x]);
         }
     }
     for (size_t i = casting->start[number]; r >= 0 && i < casting->start[number + 1]; i++)
@@ -924,57 +815,6 @@ static int cast_tile(size_t index, void *context, struct gsn_error *err)
 }
 
 /* --- pictures --- */
-
-static int check_clip(const struct gsn_ray_clip *clip, struct gsn_error *err)
-{
-    for (int c = 0; clip->has_box && c < 3; c++) {
-        if (!(clip->low[c] < clip->high[c]))
-            return gsn_fail(err, GSN_E_INPUT, "the box to draw is empty along %c", "xyz"[c]);
-    }
-    for (size_t p = 0; p < clip->plane_count; p++) {
-        const double *normal = clip->plane[p] + 3;
-
-        if (!(gsn_dot3(normal, normal) > 0) || !isfinite(gsn_dot3(normal, normal)))
-            return gsn_fail(err, GSN_E_INPUT, "plane %zu to cut at has no normal", p + 1);
-    }
-    return GSN_OK;
-}
-
-static int check_style(enum mode mode, const struct gsn_ray_style *style, struct gsn_error *err)
-{
-    if (style->across < 1 || style->across > 4)
-        return gsn_fail(err, GSN_E_INPUT, "%u rays a pixel's side cannot be, 1 to 4 can",
-                        style->across);
-    if (mode != MODE_XRAY && !(style->low < style->high && isfinite(style->high - style->low)))
-        return gsn_fail(err, GSN_E_INPUT, "the window from %g to %g has no width", style->low,
-                        style->high);
-    if (mode == MODE_VOLUME && !(style->opaque_um > 0))
-        return gsn_fail(err, GSN_E_INPUT, "an opacity over %g um cannot be", style->opaque_um);
-    if (mode == MODE_VOLUME && !(style->shading >= 0 && style->shading <= 1))
-        return gsn_fail(err, GSN_E_INPUT, "a shading of %g is not between 0 and 1",
-                        style->shading);
-    if (mode == MODE_SURFACE && !isfinite(style->level))
-        return gsn_fail(err, GSN_E_INPUT, "a surface needs a level");
-    return GSN_OK;
-}
-
-static void make_colours(struct casting *casting)
-{
-    for (size_t i = 0; i < COLOURS; i++) {
-        const struct gsn_colour colour =
-            gsn_colour_of(casting->style->map, (double)i / (COLOURS - 1));
-
-        casting->colour[i][0] = colour.r / 255.0;
-        casting->colour[i][1] = colour.g / 255.0;
-        casting->colour[i][2] = colour.b / 255.0;
-    }
-    for (size_t i = 1; i < COLOURS; i++) {
-        for (int c = 0; c < 3; c++)
-            casting->steepest =
-                fmax(casting->steepest, (COLOURS - 1) * fabs(casting->colour[i][c] -
-                                                             casting->colour[i - 1][c]));
-    }
-}
 
 static int cast_tiles(struct casting *casting, unsigned threads,
                       const struct gsn_progress *progress, struct gsn_error *err)
@@ -999,26 +839,20 @@ static int cast_tiles(struct casting *casting, unsigned threads,
 static int cast_rays(struct casting *casting, const struct gsn_camera *camera, unsigned threads,
                      const struct gsn_progress *progress, struct gsn_error *err)
 {
-    const unsigned across = casting->style->across;
+    const int light = casting->mode == MODE_VOLUME;
     size_t rays;
-    int r = check_style(casting->mode, casting->style, err);
+    int r = gsn_ray_check(casting->clip, casting->style, casting->mode != MODE_XRAY, light, err);
 
-    if (r >= 0 && casting->clip)
-        r = check_clip(casting->clip, err);
+    if (r >= 0 && casting->mode == MODE_SURFACE && !isfinite(casting->style->level))
+        return gsn_fail(err, GSN_E_INPUT, "a surface needs a level");
+    if (r >= 0)
+        r = gsn_ray_camera(camera, casting->style, &casting->camera, err);
     if (r < 0)
         return r;
-    casting->camera = *camera;
-    casting->camera.width *= across;
-    casting->camera.height *= across;
-    casting->camera.px_per_um *= across;
-    if (casting->camera.width > 16384 || casting->camera.height > 16384)
-        return gsn_fail(err, GSN_E_INPUT, "%u x %u rays are too many", casting->camera.width,
-                        casting->camera.height);
-    casting->with_slope = casting->mode == MODE_VOLUME && casting->style->shading > 0;
+    casting->with_slope = light && casting->style->shading > 0;
     if (casting->with_slope)
-        casting->blur = 4 * (casting->style->high - casting->style->low) *
-                        camera->px_per_um / fmax(camera->width, camera->height);
-    make_colours(casting);
+        casting->blur = gsn_ray_blur(camera, casting->style);
+    gsn_ray_colours_init(casting->style->map, &casting->colours);
     rays = (size_t)casting->camera.width * casting->camera.height;
     if (casting->mode == MODE_XRAY)
         casting->value = gsn_alloc_array(rays, sizeof *casting->value);
@@ -1038,64 +872,22 @@ int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_camera *camer
                  struct gsn_plane **ret_plane, struct gsn_error *err)
 {
     auto_casting casting = { MODE_XRAY, spline, clip, style, .with_slope = 0 };
-    const unsigned across = style->across;
-    gsn_auto(gsn_plane) plane = NULL;
     int r = cast_rays(&casting, camera, threads, progress, err);
 
-    if (r >= 0)
-        r = gsn_plane_new(camera->width, camera->height, &plane, err);
-    if (r < 0)
-        return r;
-    for (size_t y = 0; y < camera->height; y++) {
-        for (size_t x = 0; x < camera->width; x++) {
-            double sum = 0;
-            int met = 0;
-
-            for (size_t i = 0; i < (size_t)across * across; i++) {
-                const double value = (double)casting.value[(y * across + i / across) *
-                                                               casting.camera.width +
-                                                           x * across + i % across];
-
-                met |= !isnan(value);
-                sum += isnan(value) ? 0 : value;
-            }
-            plane->value[y * camera->width + x] = met ? (float)(sum / (across * across)) : NAN;
-        }
-    }
-    *ret_plane = gsn_steal(&plane);
-    return GSN_OK;
+    return r < 0 ? r
+                 : gsn_ray_mean_values(casting.value, style->across, camera->width,
+                                       camera->height, ret_plane, err);
 }
 
 static int make_picture(struct casting *casting, const struct gsn_camera *camera, unsigned threads,
                         const struct gsn_progress *progress, struct gsn_ray_picture **ret_picture,
                         struct gsn_error *err)
 {
-    const unsigned across = casting->style->across;
-    gsn_auto(gsn_ray_picture) picture = NULL;
     const int r = cast_rays(casting, camera, threads, progress, err);
 
-    if (r < 0)
-        return r;
-    picture = gsn_alloc_array(1, sizeof *picture);
-    if (picture)
-        picture->rgba =
-            gsn_alloc_array((size_t)camera->width * camera->height, sizeof *picture->rgba);
-    if (!picture || !picture->rgba)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %u x %u pixels",
-                        camera->width, camera->height);
-    picture->width = camera->width;
-    picture->height = camera->height;
-    for (size_t y = 0; y < camera->height * (size_t)across; y++) {
-        for (size_t x = 0; x < camera->width * (size_t)across; x++) {
-            float *to = picture->rgba[y / across * camera->width + x / across];
-
-            for (int c = 0; c < 4; c++)
-                to[c] += casting->rgba[y * casting->camera.width + x][c] /
-                         (float)(across * across);
-        }
-    }
-    *ret_picture = gsn_steal(&picture);
-    return GSN_OK;
+    return r < 0 ? r
+                 : gsn_ray_mean_light((const float(*)[4])casting->rgba, casting->style->across,
+                                      camera->width, camera->height, ret_picture, err);
 }
 
 int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *camera,

@@ -541,6 +541,44 @@ TEST(a_region_bounds_what_is_seen)
     kuhn_done(&kuhn);
 }
 
+/* 70 slabs of two voxels, two voxels apart: the distance from their faces is antisymmetric, so that
+ * smoothing moves none but the outermost two, where 1/4 of a voxel inside
+ * meets 1/2 outside: a third of the way from centre to centre, not half. */
+TEST(a_ray_may_enter_a_region_any_number_of_times)
+{
+    enum { SLABS = 70, ACROSS = 12 };
+    const double corner[3] = { 500, 350, 20 }, step = 2, inside = (2 * SLABS - 1.0 / 3) * step;
+    struct gsn_mask *mask = full_mask(corner, step, ACROSS, ACROSS, 4 * SLABS);
+    const struct gsn_view view = {
+        .direction = { 0, 0, 1 }, .up = { 0, -1, 0 }, .width = 3, .height = 3
+    };
+    const struct gsn_ray_style style = plain(0, 2, 100);
+    gsn_auto(gsn_border) border = NULL;
+    gsn_auto(gsn_plane) plane = NULL;
+    gsn_auto(gsn_ray_picture) picture = NULL;
+    struct gsn_camera camera;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    for (size_t i = 0; i < (size_t)ACROSS * ACROSS * 4 * SLABS; i++)
+        mask->inside[i] = i / (ACROSS * ACROSS) % 4 < 2;
+    CHECK_OK(gsn_border_new(mask, 0, &border, &err), err);
+    CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &one, &kuhn, &err), err);
+    camera = frame(&kuhn, &view);
+    camera.centre[0] = corner[0] + step * ACROSS / 2;
+    camera.centre[1] = corner[1] + step * ACROSS / 2;
+    {
+        const struct gsn_ray_clip clip = { .border = border, .border_step_um = step };
+
+        CHECK_OK(gsn_ray_xray(kuhn.spline, &camera, &clip, &style, 1, NULL, &plane, &err), err);
+        CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, &clip, &style, 1, NULL, &picture, &err), err);
+    }
+    CHECK_NEAR((double)plane->value[4], inside, 1e-4);
+    CHECK_NEAR((double)picture->rgba[4][3], -expm1(-0.5 * inside / style.opaque_um), 1e-6);
+    gsn_mask_free(mask);
+    kuhn_done(&kuhn);
+}
+
 TEST(several_rays_a_pixel_average)
 {
     const struct gsn_view fine = oblique(40, 30), coarse = oblique(20, 15);

@@ -48,11 +48,6 @@ void gsn_ray_picture_free(struct gsn_ray_picture *picture)
 
 enum mode { MODE_XRAY, MODE_VOLUME, MODE_SURFACE };
 
-/* Pixels from low to high, inclusive; nothing when low > high. */
-struct reach {
-    int16_t low[2], high[2];
-};
-
 struct casting {
     enum mode mode;
     const struct gsn_spline *spline;
@@ -63,10 +58,9 @@ struct casting {
     struct gsn_ray_colours colours;
     double blur;
     size_t items; /* four faces and a tetrahedron each */
-    struct reach *reach;
-    size_t tiles_across, tiles_down, first_tile;
-    size_t *start; /* of a tile's items */
-    uint32_t *item;
+    struct gsn_ray_reach *reach;
+    struct gsn_ray_bins bins;
+    size_t first_tile;
     float *value;      /* X-ray, a ray each */
     float (*rgba)[4];  /* otherwise */
 };
@@ -74,8 +68,7 @@ struct casting {
 static void casting_done(struct casting *casting)
 {
     gsn_free(casting->reach);
-    gsn_free(casting->start);
-    gsn_free(casting->item);
+    gsn_ray_bins_done(&casting->bins);
     gsn_free(casting->value);
     gsn_free(casting->rgba);
 }
@@ -83,49 +76,17 @@ static void casting_done(struct casting *casting)
 
 /* --- which pixels a tetrahedron or a face may touch --- */
 
-/* A point behind the eye, or nearly so, may have its neighbours anywhere in the picture. */
-static void reach_point(const struct gsn_camera *camera, const double point[3], double low[2],
-                        double high[2])
-{
-    double pixel[2], depth;
-
-    gsn_camera_project(camera, point, pixel, &depth);
-    for (int c = 0; c < 2; c++) {
-        if (camera->eye_um > 0 && depth < -0.9 * camera->eye_um) {
-            low[c] = -INFINITY;
-            high[c] = INFINITY;
-            continue;
-        }
-        low[c] = fmin(low[c], pixel[c]);
-        high[c] = fmax(high[c], pixel[c]);
-    }
-}
-
-static struct reach reach_of(const struct gsn_camera *camera, const double low[2],
-                             const double high[2])
-{
-    const uint32_t size[2] = { camera->width, camera->height };
-    struct reach reach;
-
-    /* Centres at +0.5; a thousandth of a pixel more than the nudge of the rays. */
-    for (int c = 0; c < 2; c++) {
-        reach.low[c] = (int16_t)fmax(0, fmin(32767, ceil(low[c] - 0.501)));
-        reach.high[c] = (int16_t)fmax(-1, fmin(size[c] - 1.0, floor(high[c] - 0.499)));
-    }
-    return reach;
-}
-
-static struct reach reach_tet(const struct casting *casting, size_t tet)
+static struct gsn_ray_reach reach_tet(const struct casting *casting, size_t tet)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(casting->spline));
     double low[2] = { INFINITY, INFINITY }, high[2] = { -INFINITY, -INFINITY };
 
     for (int k = 0; k < 4; k++)
-        reach_point(&casting->camera, mesh->vertex[mesh->tet[tet][k]], low, high);
-    return reach_of(&casting->camera, low, high);
+        gsn_ray_reach_point(&casting->camera, mesh->vertex[mesh->tet[tet][k]], low, high);
+    return gsn_ray_reach_of(&casting->camera, low, high);
 }
 
-static struct reach reach_face(const struct casting *casting, size_t tet, unsigned corner)
+static struct gsn_ray_reach reach_face(const struct casting *casting, size_t tet, unsigned corner)
 {
     const struct gsn_dms *space = gsn_spline_space(casting->spline);
     const size_t per_cloud = gsn_dms_degree(space) + 1;
@@ -133,13 +94,13 @@ static struct reach reach_face(const struct casting *casting, size_t tet, unsign
     struct gsn_prism prism;
 
     if (!gsn_prism_init(space, tet, corner, &prism))
-        return (struct reach){ { 1, 1 }, { 0, 0 } };
+        return (struct gsn_ray_reach){ { 1, 1 }, { 0, 0 } };
     for (int k = 0; k < 3; k++) {
         for (unsigned l = 0; l <= prism.top; l++)
-            reach_point(&casting->camera, gsn_dms_knots(space)[prism.vertex[k] * per_cloud + l],
+            gsn_ray_reach_point(&casting->camera, gsn_dms_knots(space)[prism.vertex[k] * per_cloud + l],
                         low, high);
     }
-    return reach_of(&casting->camera, low, high);
+    return gsn_ray_reach_of(&casting->camera, low, high);
 }
 
 static int reach_chunk(size_t chunk, void *context, struct gsn_error *err)
@@ -156,54 +117,21 @@ static int reach_chunk(size_t chunk, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
-/* Counts the items of tiles, or with fill writes them down. */
-static void visit_tiles(struct casting *casting, int fill)
-{
-    for (size_t i = 0; i < casting->items; i++) {
-        const struct reach reach = casting->reach[i];
-
-        if (reach.low[0] > reach.high[0] || reach.low[1] > reach.high[1])
-            continue;
-        for (int y = reach.low[1] / TILE; y <= reach.high[1] / TILE; y++) {
-            for (int x = reach.low[0] / TILE; x <= reach.high[0] / TILE; x++) {
-                size_t *at = &casting->start[(size_t)y * casting->tiles_across + (size_t)x];
-
-                if (fill)
-                    casting->item[at[1]] = (uint32_t)i;
-                at[fill ? 1 : 2]++;
-            }
-        }
-    }
-}
-
 static int bin_items(struct casting *casting, unsigned threads, struct gsn_error *err)
 {
     const size_t tets = gsn_dms_mesh(gsn_spline_space(casting->spline))->tet_count;
-    size_t tiles;
     int r;
 
     if (tets > UINT32_MAX / 5)
         return gsn_fail(err, GSN_E_LIMIT, "%zu tetrahedra are too many for a picture", tets);
     casting->items = 5 * tets;
-    casting->tiles_across = (casting->camera.width + TILE - 1) / TILE;
-    casting->tiles_down = (casting->camera.height + TILE - 1) / TILE;
-    tiles = casting->tiles_across * casting->tiles_down;
     casting->reach = gsn_alloc_array(casting->items, sizeof *casting->reach);
-    /* Counted two places on, filled one place on: start[i] is where tile i begins. */
-    casting->start = gsn_alloc_array(tiles + 2, sizeof *casting->start);
-    if (!casting->reach || !casting->start)
+    if (!casting->reach)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %zu tetrahedra", tets);
     r = gsn_parallel_for((tets + PER_CHUNK - 1) / PER_CHUNK, threads, reach_chunk, casting, err);
-    if (r < 0)
-        return r;
-    visit_tiles(casting, 0);
-    for (size_t i = 2; i < tiles + 2; i++)
-        casting->start[i] += casting->start[i - 1];
-    casting->item = gsn_alloc_array(casting->start[tiles + 1], sizeof *casting->item);
-    if (!casting->item)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %zu tetrahedra", tets);
-    visit_tiles(casting, 1);
-    return GSN_OK;
+    return r < 0 ? r
+                 : gsn_ray_bin(casting->reach, NULL, casting->items, &casting->camera, TILE,
+                               &casting->bins, err);
 }
 
 /* --- the pieces of the rays of a tile --- */
@@ -267,7 +195,7 @@ static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *fac
                      struct gsn_error *err)
 {
     const struct casting *casting = tile->casting;
-    const struct reach reach = casting->reach[item];
+    const struct gsn_ray_reach reach = casting->reach[item];
     const int home = item % 5 == 4;
     struct gsn_line_piece piece[GSN_FACE_CORRECTION_MAX_LEAVES];
     struct gsn_tet_line tet;
@@ -786,8 +714,8 @@ static int cast_tile(size_t index, void *context, struct gsn_error *err)
 
     if (!face)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a tile of the picture");
-    tile.low[0] = (uint32_t)(number % casting->tiles_across) * TILE;
-    tile.low[1] = (uint32_t)(number / casting->tiles_across) * TILE;
+    tile.low[0] = (uint32_t)(number % casting->bins.across) * TILE;
+    tile.low[1] = (uint32_t)(number / casting->bins.across) * TILE;
     tile.size[0] = (uint32_t)fmin(TILE, camera->width - tile.low[0]);
     tile.size[1] = (uint32_t)fmin(TILE, camera->height - tile.low[1]);
     for (uint32_t y = 0; y < tile.size[1]; y++) {
@@ -797,8 +725,8 @@ static int cast_tile(size_t index, void *context, struct gsn_error *err)
                 gsn_ray_cut(casting->clip, &tile.ray[y * TILE + x]);
         }
     }
-    for (size_t i = casting->start[number]; r >= 0 && i < casting->start[number + 1]; i++)
-        r = cast_item(&tile, casting->item[i], face, err);
+    for (size_t i = casting->bins.start[number]; r >= 0 && i < casting->bins.start[number + 1]; i++)
+        r = cast_item(&tile, casting->bins.item[i], face, err);
     if (r >= 0)
         r = order_pieces(&tile, start, err);
     for (uint32_t y = 0; r >= 0 && y < tile.size[1]; y++) {
@@ -819,7 +747,7 @@ static int cast_tile(size_t index, void *context, struct gsn_error *err)
 static int cast_tiles(struct casting *casting, unsigned threads,
                       const struct gsn_progress *progress, struct gsn_error *err)
 {
-    const size_t tiles = casting->tiles_across * casting->tiles_down;
+    const size_t tiles = casting->bins.across * casting->bins.down;
 
     for (size_t batch = 0; batch < BATCHES; batch++) {
         const size_t first = tiles * batch / BATCHES, end = tiles * (batch + 1) / BATCHES;

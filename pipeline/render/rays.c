@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The rays of a picture: from pixels into space, through what a clip leaves.
+/* The rays of a picture: from pixels into space, through what a clip leaves, and past what.
  *
  * Method: box and planes shorten a ray by half-spaces. A region is met by sphere tracing of its
  * distance field (J. C. Hart 1996, 10.1007/s003710050084) with bisection where the sign changes, on
@@ -181,6 +181,91 @@ int gsn_ray_camera(const struct gsn_camera *camera, const struct gsn_ray_style *
     if (fine.width > 16384 || fine.height > 16384)
         return gsn_fail(err, GSN_E_INPUT, "%u x %u rays are too many", fine.width, fine.height);
     *ret_camera = fine;
+    return GSN_OK;
+}
+
+/* --- which pixels something may touch --- */
+
+/* A point behind the eye, or nearly so, may have its neighbours anywhere in the picture. */
+void gsn_ray_reach_point(const struct gsn_camera *camera, const double point[3], double low[2],
+                         double high[2])
+{
+    double pixel[2], depth;
+
+    gsn_camera_project(camera, point, pixel, &depth);
+    for (int c = 0; c < 2; c++) {
+        if (camera->eye_um > 0 && depth < -0.9 * camera->eye_um) {
+            low[c] = -INFINITY;
+            high[c] = INFINITY;
+            continue;
+        }
+        low[c] = fmin(low[c], pixel[c]);
+        high[c] = fmax(high[c], pixel[c]);
+    }
+}
+
+struct gsn_ray_reach gsn_ray_reach_of(const struct gsn_camera *camera, const double low[2],
+                                      const double high[2])
+{
+    const uint32_t size[2] = { camera->width, camera->height };
+    struct gsn_ray_reach reach;
+
+    /* Centres at +0.5; a thousandth of a pixel more than the nudge of the rays. */
+    for (int c = 0; c < 2; c++) {
+        reach.low[c] = (int16_t)fmax(0, fmin(32767, ceil(low[c] - 0.501)));
+        reach.high[c] = (int16_t)fmax(-1, fmin(size[c] - 1.0, floor(high[c] - 0.499)));
+    }
+    return reach;
+}
+
+void gsn_ray_bins_done(struct gsn_ray_bins *bins)
+{
+    gsn_free(bins->start);
+    gsn_free(bins->item);
+}
+
+/* Counts the items of tiles, or with fill writes them down. */
+static void visit_tiles(const struct gsn_ray_reach *reach, const uint32_t *order, size_t items,
+                        unsigned tile, struct gsn_ray_bins *bins, int fill)
+{
+    for (size_t i = 0; i < items; i++) {
+        const uint32_t item = order ? order[i] : (uint32_t)i;
+        const struct gsn_ray_reach *at = &reach[item];
+
+        if (at->low[0] > at->high[0] || at->low[1] > at->high[1])
+            continue;
+        for (size_t y = (unsigned)at->low[1] / tile; y <= (unsigned)at->high[1] / tile; y++) {
+            for (size_t x = (unsigned)at->low[0] / tile; x <= (unsigned)at->high[0] / tile; x++) {
+                size_t *start = &bins->start[y * bins->across + x];
+
+                if (fill)
+                    bins->item[start[1]] = item;
+                start[fill ? 1 : 2]++;
+            }
+        }
+    }
+}
+
+int gsn_ray_bin(const struct gsn_ray_reach *reach, const uint32_t *order, size_t items,
+                const struct gsn_camera *camera, unsigned tile, struct gsn_ray_bins *bins,
+                struct gsn_error *err)
+{
+    size_t tiles;
+
+    bins->across = (camera->width + tile - 1) / tile;
+    bins->down = (camera->height + tile - 1) / tile;
+    tiles = bins->across * bins->down;
+    /* Counted two places on, filled one place on: start[i] is where tile i begins. */
+    bins->start = gsn_alloc_array(tiles + 2, sizeof *bins->start);
+    if (!bins->start)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the %zu tiles of a picture", tiles);
+    visit_tiles(reach, order, items, tile, bins, 0);
+    for (size_t i = 2; i < tiles + 2; i++)
+        bins->start[i] += bins->start[i - 1];
+    bins->item = gsn_alloc_array(bins->start[tiles + 1], sizeof *bins->item);
+    if (!bins->item)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the %zu tiles of a picture", tiles);
+    visit_tiles(reach, order, items, tile, bins, 1);
     return GSN_OK;
 }
 

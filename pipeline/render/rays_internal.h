@@ -46,6 +46,29 @@ int gsn_ray_check(const struct gsn_ray_clip *clip, const struct gsn_ray_style *s
 int gsn_ray_camera(const struct gsn_camera *camera, const struct gsn_ray_style *style,
                    struct gsn_camera *ret_camera, struct gsn_error *err);
 
+/* Pixels from low to high, inclusive; nothing when low > high. */
+struct gsn_ray_reach {
+    int16_t low[2], high[2];
+};
+/* Widens low..high, in pixels, by the point. */
+void gsn_ray_reach_point(const struct gsn_camera *camera, const double point[3], double low[2],
+                         double high[2]);
+struct gsn_ray_reach gsn_ray_reach_of(const struct gsn_camera *camera, const double low[2],
+                                      const double high[2]);
+
+/* Which items the tiles of a picture have: those of tile i at item[start[i]..start[i + 1]), in the
+ * order they were given in. */
+struct gsn_ray_bins {
+    size_t across, down, *start;
+    uint32_t *item;
+};
+void gsn_ray_bins_done(struct gsn_ray_bins *bins);
+/* gives: the bins of tiles this many pixels wide. order: which item comes when; NULL: as they are.
+ * Fails with GSN_E_NOMEM; what is there then is for gsn_ray_bins_done(). */
+int gsn_ray_bin(const struct gsn_ray_reach *reach, const uint32_t *order, size_t items,
+                const struct gsn_camera *camera, unsigned tile, struct gsn_ray_bins *bins,
+                struct gsn_error *err);
+
 /* The colours of a map, 0..1, and the most that a channel changes by a unit of share. */
 struct gsn_ray_colours {
     double at[GSN_RAY_COLOURS][3], steepest;

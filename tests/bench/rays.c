@@ -7,6 +7,7 @@
  * Errors are rms over pixels. Of the linear field the truth is a closed form (a chord of the cube),
  * of the spline the integral along a few segments. */
 #include "pipeline/model/resample.h"
+#include "pipeline/render/projected_tets.h"
 #include "pipeline/render/ray_cast.h"
 
 #include "tests/bench/bench.h"
@@ -87,6 +88,30 @@ static void run_light(void *context)
                &err, "light");
 }
 
+static void run_projected(void *context)
+{
+    struct scene *scene = context;
+    struct gsn_error err = { 0 };
+
+    gsn_ray_picture_free(scene->picture);
+    scene->picture = NULL;
+    bench_need(gsn_projected_volume(scene->bench.spline, &scene->camera, NULL, &scene->style,
+                                    scene->threads, NULL, &scene->picture, &err),
+               &err, "light of cells");
+}
+
+static void run_projected_xray(void *context)
+{
+    struct scene *scene = context;
+    struct gsn_error err = { 0 };
+
+    gsn_plane_free(scene->plane);
+    scene->plane = NULL;
+    bench_need(gsn_projected_xray(scene->bench.spline, &scene->camera, NULL, &scene->style,
+                                  scene->threads, NULL, &scene->plane, &err),
+               &err, "X-ray of cells");
+}
+
 static int cube_chord(const double start[3], const double into[3], double *ret_from,
                       double *ret_to)
 {
@@ -119,6 +144,7 @@ static void make_linear(struct bench_case *bench)
     gsn_free(control);
 }
 
+/* The integral along the ray. */
 static double linear_truth(const struct gsn_camera *camera, uint32_t x, uint32_t y)
 {
     double start[3], from, to, middle[3];
@@ -128,7 +154,7 @@ static double linear_truth(const struct gsn_camera *camera, uint32_t x, uint32_t
         return 0;
     for (int c = 0; c < 3; c++)
         middle[c] = start[c] + (from + to) / 2 * camera->into[c];
-    return -expm1(-KAPPA * (to - from) * linear_at(middle));
+    return (to - from) * linear_at(middle);
 }
 
 /* In steps of 8 bits. */
@@ -141,12 +167,32 @@ static double linear_error(const struct scene *scene, const uint8_t *theirs)
         for (uint32_t x = 0; x < px; x++) {
             const double got = theirs ? theirs[y * px + x] / 255.0
                                       : (double)scene->picture->rgba[y * px + x][3];
-            const double off = got - linear_truth(&scene->camera, x, y);
+            const double off =
+                got + expm1(-KAPPA * linear_truth(&scene->camera, x, y));
 
             sum += off * off;
         }
     }
     return 255 * sqrt(sum / px / px);
+}
+
+/* Of the X-ray, as a share of the deepest, in steps of 8 bits. */
+static double linear_xray_error(const struct scene *scene)
+{
+    const uint32_t px = scene->camera.width;
+    double sum = 0, most = 0;
+
+    for (uint32_t y = 0; y < px; y++) {
+        for (uint32_t x = 0; x < px; x++) {
+            const double got = (double)scene->plane->value[y * px + x];
+            const double truth = linear_truth(&scene->camera, x, y);
+            const double off = (isnan(got) ? 0 : got) - truth;
+
+            sum += off * off;
+            most = fmax(most, truth);
+        }
+    }
+    return 255 * sqrt(sum / px / px) / most;
 }
 
 static int write_camera(const struct scene *scene, const char *path)
@@ -164,12 +210,12 @@ static int write_camera(const struct scene *scene, const char *path)
     return ok;
 }
 
-static void contest(struct scene *scene, const struct bench_peer *peer, const char *mapper,
-                    const char *path)
+static void contest(struct scene *scene, const char *measure, void (*run)(void *),
+                    const struct bench_peer *peer, const char *mapper, const char *path)
 {
     const size_t pixels = (size_t)scene->camera.width * scene->camera.width;
     uint8_t *theirs = bench_alloc(pixels, 1);
-    struct bench_job job = { .run = run_light, .context = scene };
+    struct bench_job job = { .run = run, .context = scene };
     double ours = INFINITY, vtk = INFINITY;
     FILE *file;
 
@@ -182,10 +228,10 @@ static void contest(struct scene *scene, const struct bench_peer *peer, const ch
     }
     file = vtk >= 0 && bench_peer_ask(peer, "write", NULL) >= 0 ? fopen(path, "rb") : NULL;
     if (!file || fread(theirs, 1, pixels, file) != pixels)
-        bench_skip("rays_linear", "s", mapper,
+        bench_skip(measure, "s", mapper,
                    "python3-vtk9 is not installed for " GSN_DEBIAN_PYTHON ", or it failed");
     else
-        bench_say("rays_linear", ours, "s", mapper, vtk / ours,
+        bench_say(measure, ours, "s", mapper, vtk / ours,
                   json_pack("{s:I, s:f, s:f, s:f}", "tets",
                             (json_int_t)scene->bench.mesh->tet_count, "against_s", vtk,
                             "rms_in_255ths", linear_error(scene, NULL), "against_rms_in_255ths",
@@ -193,6 +239,21 @@ static void contest(struct scene *scene, const struct bench_peer *peer, const ch
     if (file)
         (void)fclose(file);
     gsn_free(theirs);
+}
+
+/* Cells against rays, on the same linear cube. */
+static void race_cells(struct scene *scene)
+{
+    struct bench_job job[2] = { { .run = run_projected_xray, .context = scene },
+                                { .run = run_xray, .context = scene } };
+    double cells;
+
+    bench_race(job, 1, 1);
+    cells = linear_xray_error(scene);
+    bench_race(job, 2, bench_quick ? 1 : 3);
+    bench_say("rays_projected_xray", job[0].cpu_s, "s", "our rays", job[1].cpu_s / job[0].cpu_s,
+              json_pack("{s:f, s:f}", "rms_in_255ths", cells, "against_rms_in_255ths",
+                        linear_xray_error(scene)));
 }
 
 static void race_vtk(void)
@@ -203,6 +264,7 @@ static void race_vtk(void)
     struct bench_peer peer = { 0 };
 
     make_linear(&scene.bench);
+    race_cells(&scene);
     if (mkdtemp(folder)) {
         snprintf(path[0], sizeof path[0], "%s/mesh.vtk", folder);
         snprintf(path[1], sizeof path[1], "%s/camera.json", folder);
@@ -215,7 +277,8 @@ static void race_vtk(void)
         (void)bench_peer_start(&peer, argv);
         (void)bench_peer_ask(&peer, "load", NULL);
         for (size_t m = 0; m < sizeof MAPPERS / sizeof *MAPPERS; m++)
-            contest(&scene, &peer, MAPPERS[m], path[2]);
+            contest(&scene, "rays_linear", run_light, &peer, MAPPERS[m], path[2]);
+        contest(&scene, "rays_projected", run_projected, &peer, MAPPERS[0], path[2]);
         bench_peer_end(&peer);
     }
     for (int i = 0; i < 3; i++)

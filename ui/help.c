@@ -114,6 +114,7 @@ static const struct gsn_help pages[] = {
       "                       (default: 0 to the greatest mean of a cell)\n"
       "  --view X,Y,Z         direction of the eye into the block; or x, y, z, corner (default)\n"
       "  --perspective        seen by an eye, not by parallel rays\n"
+      "  --preview            quickly: X-ray or light of cells, linear in each\n"
       "  --box X1,Y1,Z1,X2,Y2,Z2\n"
       "                       show what is in the box, micrometres\n"
       "  --plane X,Y,Z,NX,NY,NZ\n"

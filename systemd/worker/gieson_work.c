@@ -151,6 +151,7 @@ enum {
     OPT_SIZE,
     OPT_WINDOW,
     OPT_PERSPECTIVE,
+    OPT_PREVIEW,
     OPT_POINTS,
     OPT_PUBLISH
 };
@@ -203,6 +204,7 @@ static const struct argp_option options[] = {
     { "size", OPT_SIZE, "PX", 0, "render: width and height (default 640)", 1 },
     { "window", OPT_WINDOW, "LOW,HIGH", 0, "render: densities of the colour scale", 1 },
     { "perspective", OPT_PERSPECTIVE, NULL, 0, "render: seen by an eye", 1 },
+    { "preview", OPT_PREVIEW, NULL, 0, "render: quickly, by cells instead of rays", 1 },
     { "points", OPT_POINTS, "N", 0, "line: of the profile (default: 33)", 1 },
     { 0 },
 };
@@ -330,6 +332,9 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case OPT_TRANSLUCENT:
         request->translucent = 1;
+        return 0;
+    case OPT_PREVIEW:
+        request->preview = 1;
         return 0;
     case OPT_SURFACE:
         request->surface = arg;

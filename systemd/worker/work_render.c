@@ -2,7 +2,8 @@
 
 /* The verb `render`: a picture of the model of a specimen's last run, as PNG.
  *
- * Method: rays through the fitted spline itself (pipeline/render/ray_cast.h); no grid is made. The
+ * Method: rays through the fitted spline itself (pipeline/render/ray_cast.h); no grid is made. With
+ * --preview its cells are projected instead (pipeline/render/projected_tets.h). The
  * picture ends where the region of interest ends, smoothly; `--whole` shows all of the domain. What
  * a picture shows is written on it: how, between which densities, which way up, how large.
  * Steps: (1) the model; (2) what is seen, and the window of densities: those of the cells' means
@@ -17,6 +18,7 @@
 #include "pipeline/core/file.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/decode/png_write.h"
+#include "pipeline/render/projected_tets.h"
 #include "pipeline/render/ray_cast.h"
 #include "systemd/worker/kept_run.h"
 #include "systemd/worker/work_verbs.h"
@@ -85,6 +87,8 @@ static const char *read_request(struct render *e)
         return "render what, and where to? Say `gieson render SPECIMEN FILE.png`";
     if (request->surface && request->translucent)
         return "a picture is an X-ray, --translucent or --surface V";
+    if (request->surface && request->preview)
+        return "--preview is of an X-ray or --translucent; a surface is drawn by rays alone";
     if (!read_view(request->view ? request->view : "corner", &e->view))
         return "--view is x, y, z, corner, or a direction into the block: X,Y,Z";
     if (request->size && (!gsn_work_numbers(request->size, 1, &size) || size < LEAST_PX ||
@@ -208,14 +212,20 @@ static const char *through_eye(const struct render *e)
     return e->camera.eye_um > 0 ? "perspective" : "orthographic";
 }
 
+/* What a picture's title says of how it was made. */
+static const char *how_made(const struct render *e)
+{
+    return e->request->preview ? ", preview: cells as if linear" : "";
+}
+
 static int draw_xray(struct render *e, struct gsn_error *err)
 {
     gsn_auto(gsn_plane) plane = NULL;
-    int r = gsn_ray_xray(e->model->spline, &e->camera, &e->clip, &e->style, e->request->threads,
-                         NULL, &plane, err);
+    int r = (e->request->preview ? gsn_projected_xray : gsn_ray_xray)(
+        e->model->spline, &e->camera, &e->clip, &e->style, e->request->threads, NULL, &plane, err);
 
-    (void)snprintf(e->title, sizeof e->title, "%s: X-ray, %s", e->request->rest[0],
-                   through_eye(e));
+    (void)snprintf(e->title, sizeof e->title, "%s: X-ray, %s%s", e->request->rest[0],
+                   through_eye(e), how_made(e));
     if (r >= 0)
         r = gsn_xray_paint(plane, &e->camera, e->title, NULL, GSN_MAP_VIRIDIS, &e->image, err);
     return r;
@@ -234,12 +244,13 @@ static int draw_light(struct render *e, int surface, struct gsn_error *err)
         r = gsn_ray_surface(e->model->spline, &e->camera, &e->clip, &e->style,
                             e->request->threads, NULL, &picture, err);
     } else {
-        (void)snprintf(e->title, sizeof e->title, "%s: emission and absorption, %s",
-                       e->request->rest[0], through_eye(e));
+        (void)snprintf(e->title, sizeof e->title, "%s: emission and absorption, %s%s",
+                       e->request->rest[0], through_eye(e), how_made(e));
         (void)snprintf(e->note, sizeof e->note, "%.3g: 1/e through %.3g \xc2\xb5m", e->style.high,
                        e->style.opaque_um);
-        r = gsn_ray_volume(e->model->spline, &e->camera, &e->clip, &e->style, e->request->threads,
-                           NULL, &picture, err);
+        r = (e->request->preview ? gsn_projected_volume : gsn_ray_volume)(
+            e->model->spline, &e->camera, &e->clip, &e->style, e->request->threads, NULL, &picture,
+            err);
     }
     if (r >= 0)
         r = gsn_ray_paint(picture, &e->camera, &e->style, e->title, e->note, &e->image, err);

@@ -226,6 +226,7 @@ class Closed(Model):
 
     def test_the_same_picture_is_the_same_bytes(self):
         for name, *options in (["x.png"], ["l.png", "--translucent", "--perspective", "--window", "0.2,0.6"],
+                               ["p.png", "--preview"], ["q.png", "--translucent", "--preview", "--perspective"],
                                ["s.png", "--surface", 0.4, "--plane", "100,0,0,1,0,0", "--view", "0.3,-0.4,0.9"]):
             options += ["--size", 96]
             said = self.ask("render", "block", self.folder / name, *options)
@@ -281,6 +282,7 @@ class Refusals(Model):
                      ["render", "block", self.folder / "a.png", "--window", "0,1"],
                      ["render", "block", self.folder / "a.png", "--translucent", "--window", "1,0"],
                      ["render", "block", self.folder / "a.png", "--translucent", "--surface", 1],
+                     ["render", "block", self.folder / "a.png", "--preview", "--surface", 1],
                      ["render", "block", self.folder / "a.png", "--box", "1,2,3"]):
             self.complaint(64, *args)
         self.assertEqual(list(self.folder.iterdir()), [])

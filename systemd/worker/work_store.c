@@ -36,6 +36,7 @@
 #include "systemd/worker/import.h"
 #include "systemd/worker/job.h"
 #include "systemd/worker/scrub.h"
+#include "systemd/worker/store_index.h"
 #include "systemd/worker/verify.h"
 #include "systemd/worker/work_verbs.h"
 
@@ -626,10 +627,25 @@ int gsn_work_backup(const struct gsn_work_request *request)
     return copy_store(request, request->store_dir, request->rest[0]);
 }
 
+/* The front page and reports/SPECIMEN/latest, which a backup does not hold. */
+static int lay_index(const struct gsn_work_request *request)
+{
+    gsn_auto(gsn_store) store = NULL;
+    struct gsn_error err = { 0 };
+    int r = gsn_store_open(request->store_dir, GSN_STORE_WRITE, &store, &err);
+
+    if (r >= 0)
+        r = gsn_store_index_write(store, &err);
+    return r < 0 ? gsn_work_complain(request, &err, r) : EX_OK;
+}
+
 int gsn_work_restore(const struct gsn_work_request *request)
 {
+    int code;
+
     if (request->rest_count != 1)
         return gsn_work_usage(request,
                               "restore from where? Say `gieson --store NEW restore FOLDER`");
-    return copy_store(request, request->rest[0], request->store_dir);
+    code = copy_store(request, request->rest[0], request->store_dir);
+    return code == EX_OK ? lay_index(request) : code;
 }

@@ -1011,6 +1011,11 @@ class Backup(Bench):
                                        store=False).stdout, before)
             self.assertEqual(self.call("--store", str(store), "scrub", store=False).returncode, 0)
         self.assertEqual(self.json("scrub")["findings"], [])
+        # What leads to the reports is there at once, not from the next run on.
+        self.assertTrue((again / "reports" / "tile" / "latest" / "report.html").is_file())
+        self.assertEqual(os.readlink(again / "reports" / "tile" / "latest"),
+                         os.readlink(self.store / "reports" / "tile" / "latest"))
+        self.assertIn("reports/tile/", (again / "index.html").read_text())
 
     def test_nothing_is_written_over(self):
         self.reported_tile()

@@ -180,7 +180,7 @@ static void add_row(struct gsn_report_text *text, const struct scale *scale,
             gsn_report_text_raw(text, "</span>");
         }
     } else {
-        gsn_report_text_raw(text, s->control ? "withheld" : DASH);
+        gsn_report_text_raw(text, s->control && s->page ? "withheld" : DASH);
     }
     gsn_report_text_raw(text, "</td><td>");
     if (isfinite(s->loss))
@@ -215,7 +215,8 @@ static void add_study(struct gsn_report_text *text, const struct scale *scale,
                                   "analysis is frozen and the study is no longer blind.</p>\n");
     gsn_report_text_raw(
         text, "<div class=\"table scroll\"><table><thead><tr><th>Specimen</th><th>Group</th>"
-              "<th class=\"num\">Week</th><th class=\"num\">Collagen loss</th><th>");
+              "<th class=\"num\">Week</th><th class=\"num\">Collagen loss</th>"
+              "<th class=\"nowrap\">");
     if (scale->used) {
         gsn_report_text_number(text, scale->low, 0);
         gsn_report_text_raw(text, " to ");

@@ -245,10 +245,10 @@ static void add_drawing(struct gsn_report_text *text, const struct gsn_study *st
               "<figure><div class=\"drawing\">");
     gsn_report_text_print(
         text,
-        "<svg viewBox=\"0 0 %.0f 262\" role=\"img\" class=\"chart\"><title>Density of "
+        "<svg viewBox=\"0 0 %.0f 262\" role=\"img\" class=\"chart %s\"><title>Density of "
         "each animal by group and time point</title>\n"
         "<text class=\"name\" x=\"2\" y=\"14\">density</text>\n",
-        width);
+        width, study->cell_count <= 4 ? "few" : "many");
     draw_scale(text, &d, step);
     for (size_t c = 0; c < study->cell_count; c++)
         draw_cell(text, study, &study->cell[c], &d,
@@ -386,9 +386,11 @@ static void add_part(struct gsn_report_text *text, const struct gsn_study *part)
     gsn_report_text_escape(text, part->input.region);
     gsn_report_text_print(text,
                           "</h2>\n<p class=\"lead\">Density, as above; Holm p counts the comparisons "
-                          "of all regions. %zu %s no figure here; animals.csv has the reasons and "
-                          "the volumes.</p>\n",
-                          left_out, left_out == 1 ? "specimen has" : "specimens have");
+                          "of all regions.");
+    if (left_out > 0)
+        gsn_report_text_print(text, " %zu %s no figure here; animals.csv has the reasons.", left_out,
+                              left_out == 1 ? "specimen has" : "specimens have");
+    gsn_report_text_raw(text, " animals.csv has the volumes.</p>\n");
     open_table(text, heads, sizeof heads / sizeof heads[0]);
     for (size_t i = 0; i < part->comparison_count; i++)
         if (part->comparison[i].measure == 0)

@@ -81,6 +81,18 @@ TEST(a_loss_without_an_interval_stands_on_the_scale_too)
     assert_non_null(strstr(page, "cx=\"75.0\"")); /* halfway */
 }
 
+TEST(a_loss_is_withheld_by_a_report_and_not_before_there_is_one)
+{
+    struct gsn_study_specimen one = specimen("late", NAN);
+    gsn_auto_mem(char) reported = page_of(&one, 1, NULL);
+
+    one.page = NULL;
+    gsn_auto_mem(char) waiting = page_of(&one, 1, NULL);
+
+    assert_non_null(strstr(reported, ">withheld<"));
+    assert_null(strstr(waiting, ">withheld<"));
+}
+
 TEST(what_has_no_figure_needs_a_person_unless_one_left_it_out)
 {
     struct gsn_study_specimen two[] = { specimen("late", NAN), specimen("broken", NAN) };

@@ -97,7 +97,8 @@ static const struct gsn_help pages[] = {
       ".csv               its tetrahedra (micro-units), a row each\n"
       ".stl .ply .glb     the surface at one density, closed where the region ends\n"
       ".nrrd .nii.gz      the density on a grid (default: the stack's own voxels)\n"
-      ".ome.tif           the aligned sections in true colour\n"
+      ".ome.tif           the aligned sections in true colour; says how job.json names a region\n"
+      "                   drawn on them\n"
       "Surfaces and volumes end where the region ends. A file that exists is not written over.",
       "  --level V            of a surface\n"
       "  --step UM            size of a volume's voxels, length of a surface's edges\n"

@@ -3,7 +3,8 @@
 /* Binary morphology (Serra 1982) with a disc of a real radius: what lies within the radius of a set,
  * centre to centre. A small disc is a structuring element for cv::dilate and cv::erode; beyond WIDE
  * pixels, where going over all of the disc costs more, the exact distance (cv::distanceTransform,
- * Felzenszwalb and Huttenlocher 2012) is compared with the radius. Both give the same pixels. Holes
+ * Felzenszwalb and Huttenlocher 2012) is compared with the radius. Both give the same pixels. A signed
+ * distance is that of a set less that of what is not in it, half a pixel nearer each. Holes
  * are filled by cv::floodFill from a frame around the set (cv::copyMakeBorder). */
 #include "pipeline/imaging/morphology.h"
 
@@ -105,5 +106,26 @@ int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, int neighbours
             for (uint32_t x = 0; x < width; x++)
                 set[static_cast<size_t>(y) * width + x] = row[x] != 2;
         }
+    });
+}
+
+int gsn_signed_distance(const uint8_t *set, uint32_t width, uint32_t height, float *to,
+                        struct gsn_error *err)
+{
+    return gsn::guarded(err, [&] {
+        const cv::Mat all = gsn::over(set, width, height, CV_8U);
+        cv::Mat framed, inside, outside;
+
+        cv::copyMakeBorder(all, framed, 1, 1, 1, 1, cv::BORDER_CONSTANT, cv::Scalar(0));
+        inside = distance_to_zero(framed);
+        outside = distance_to_zero(framed == 0);
+        for (uint32_t y = 0; y < height; y++)
+            for (uint32_t x = 0; x < width; x++) {
+                const int row = static_cast<int>(y) + 1, column = static_cast<int>(x) + 1;
+                const float depth = inside.at<float>(row, column);
+
+                to[static_cast<size_t>(y) * width + x] =
+                    depth > 0 ? depth - 0.5F : 0.5F - outside.at<float>(row, column);
+            }
     });
 }

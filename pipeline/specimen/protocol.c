@@ -33,6 +33,7 @@
 
 /* Limits that only a mistake exceeds. */
 enum { LONGEST_NAME = 1000, MOST_SLOTS = 400, MOST_SECTIONS = 100000, MOST_PANELS = 10000 };
+static const double MOST_DRAWN_VOXELS = 1 << 30;
 
 /* Says what the key must be. */
 static int refuse_value(struct gsn_error *err, const char *key, const char *wanted)
@@ -213,13 +214,57 @@ static int read_band(const json_t *band, const char *key, struct gsn_region *reg
     return read_text(band, "from", &region->file, err);
 }
 
+static const char DRAWN[] =
+    "{\"kind\": \"drawn\", \"file\": a GeoJSON file, \"stack\": {\"size\": [nx,ny,nz], "
+    "\"pixel_um\": [x,y,z] with x = y, \"origin_um\": [x,y,z]}}, with or without \"class\": a "
+    "classification; `gieson export SPECIMEN FILE.ome.tif` prints the \"stack\" of its file";
+
+/* The stack that outlines were drawn on, as export describes it; its voxels fit into a mask. */
+static int read_stack(const json_t *stack, struct gsn_lattice *ret_at)
+{
+    double size[3], step[3], origin[3], voxels = 1;
+
+    if (read_numbers(json_object_get(stack, "size"), 3, size) < 0 ||
+        read_numbers(json_object_get(stack, "pixel_um"), 3, step) < 0 ||
+        read_numbers(json_object_get(stack, "origin_um"), 3, origin) < 0)
+        return -1;
+    for (int c = 0; c < 3; c++) {
+        if (!(size[c] >= 1 && size[c] <= MOST_SECTIONS && size[c] == floor(size[c]) &&
+              step[c] > 0))
+            return -1;
+        voxels *= size[c];
+    }
+    *ret_at = (struct gsn_lattice){ .nx = (size_t)size[0],
+                                    .ny = (size_t)size[1],
+                                    .nz = (size_t)size[2],
+                                    .origin_um = gsn_vec3_make(origin[0], origin[1], origin[2]),
+                                    .step_um = gsn_vec3_make(step[0], step[1], step[2]) };
+    return voxels <= MOST_DRAWN_VOXELS && fabs(step[0] / step[1] - 1) < 0.01 ? 0 : -1;
+}
+
+static int read_drawn(const json_t *drawn, const char *key, struct gsn_region *region,
+                      struct gsn_error *err)
+{
+    int r;
+
+    region->kind = GSN_REGION_DRAWN;
+    if (!json_string_length(json_object_get(drawn, "file")) ||
+        read_stack(json_object_get(drawn, "stack"), &region->stack) < 0)
+        return refuse_value(err, key, DRAWN);
+    r = read_text(drawn, "file", &region->file, err);
+    return r < 0 || !json_object_get(drawn, "class")
+               ? r
+               : read_text(drawn, "class", &region->class_name, err);
+}
+
 /* Reads a region under its key; region is left alone when it is absent. gives:
- * region->file. Fails with GSN_E_INPUT, GSN_E_NOMEM. */
+ * region->file and class_name. Fails with GSN_E_INPUT, GSN_E_NOMEM. */
 static int read_region(const json_t *job, const char *key, struct gsn_region *region,
                        struct gsn_error *err)
 {
     const json_t *stated = json_object_get(job, key);
     const json_t *kind = json_object_get(stated, "kind");
+    const char *word = json_string_value(kind);
 
     if (!stated)
         return GSN_OK;
@@ -229,7 +274,9 @@ static int read_region(const json_t *job, const char *key, struct gsn_region *re
     }
     if (!json_is_object(stated))
         return refuse_value(err, key, "the name of a mask file or a shape");
-    if (kind && !(json_is_string(kind) && strcmp(json_string_value(kind), "band") == 0))
+    if (word && strcmp(word, "drawn") == 0)
+        return read_drawn(stated, key, region, err);
+    if (kind && !(word && strcmp(word, "band") == 0))
         return refuse_value(err, key, BAND);
     if (kind)
         return read_band(stated, key, region, err);
@@ -917,10 +964,10 @@ void gsn_protocol_free(struct gsn_protocol *p)
     gsn_free(p->stained);
     gsn_free(p->scanned);
     gsn_free(p->unknown);
-    gsn_free(p->region.file);
+    gsn_region_done(&p->region);
     for (size_t i = 0; i < p->named_count; i++) {
         gsn_free(p->named[i].name);
-        gsn_free(p->named[i].region.file);
+        gsn_region_done(&p->named[i].region);
     }
     gsn_free(p->named);
     gsn_free(p);

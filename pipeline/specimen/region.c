@@ -2,8 +2,8 @@
 
 /* The region of interest, and the lattice of the stack around it.
  *
- * 1. A stated shape (box, cylinder, sphere) becomes a mask by voxel centres; a mask file is taken
- * as it is.
+ * 1. A stated shape (box, cylinder, sphere) becomes a mask by voxel centres; a mask file, or drawn
+ * outlines as drawn_region.c made them a mask, are taken as they are.
  * 2. A band is looked for when the densities are there: the body is a mask file or a tissue that is
  *    found in the block (stain/tissue_segmentation.h), the band is what lies at the stated
  * distances from its surface, within the stated cylinder and z range.
@@ -39,6 +39,12 @@ static int shape_holds(const struct gsn_region *region, struct gsn_vec3 u)
            u.y < region->high.y;
 }
 
+void gsn_region_done(struct gsn_region *region)
+{
+    gsn_free(region->file);
+    gsn_free(region->class_name);
+}
+
 int gsn_region_has_coordinates(const struct gsn_region *region)
 {
     return region->kind == GSN_REGION_BAND ? region->file != NULL || region->radius_um > 0
@@ -52,6 +58,11 @@ void gsn_region_describe(const struct gsn_region *region, char *text, size_t roo
     switch (region->kind) {
     case GSN_REGION_NONE:
         (void)snprintf(text, room, "the whole volume");
+        return;
+    case GSN_REGION_DRAWN:
+        (void)snprintf(text, room, "drawn as %s",
+                       region->class_name && region->class_name[0] ? region->class_name
+                                                                   : region->file);
         return;
     case GSN_REGION_MASK:
         (void)snprintf(text, room, "%s", region->file);

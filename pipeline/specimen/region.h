@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The region of interest: a mask file, a shape, or a band about a body; and the lattice of the
+/* The region of interest: a mask file, outlines drawn on sections, a shape, or a band about a body; and the lattice of the
  * stack around it. Lengths are micrometres in the block frame. */
 #ifndef GSN_SPECIMEN_REGION_H
 #define GSN_SPECIMEN_REGION_H
@@ -12,6 +12,7 @@
 
 enum gsn_region_kind {
     GSN_REGION_NONE, /* not stated: everything that has data (volumes), or withheld (sections) */
+    GSN_REGION_DRAWN, /* a file of outlines (drawn_region.h), read as a mask */
     GSN_REGION_MASK, /* a file */
     GSN_REGION_BOX,
     GSN_REGION_CYLINDER, /* axis along z */
@@ -22,19 +23,24 @@ enum gsn_region_kind {
 struct gsn_region {
     enum gsn_region_kind kind;
     enum gsn_tissue_kind from; /* the body of a band that names no file */
-    char *file; /* a mask, relative to the job's folder: the region, or the band's body; or NULL */
+    char *file; /* a mask, relative to the job's folder: the region, or the band's body; or the
+                   outlines of a drawn region; or NULL. Owned, as is the next */
+    char *class_name;          /* drawn: the classification of its outlines; NULL: not stated */
+    struct gsn_lattice stack;  /* drawn: the exported stack that they were drawn on */
     struct gsn_vec3 low, high; /* box; the cylinder's and the band's z range is low.z..high.z */
     struct gsn_vec3 centre;    /* cylinder, sphere; the cylinder that limits a band */
     double radius_um;          /* of the same; 0: the band is not limited */
     double low_um, high_um;    /* band: distances from the body's surface, outward */
 };
 
-/* Whether it is said in coordinates of the block's x and y: a mask, a shape, a band from a file or
+void gsn_region_done(struct gsn_region *region);
+
+/* Whether it is said in coordinates of the block's x and y: a mask, outlines, a shape, a band from a file or
  * within a cylinder. */
 int gsn_region_has_coordinates(const struct gsn_region *region);
 
 /* The rule that lays it, in words without coordinates, which are each animal's own: a mask by its
- * file's name. Cut to the room. */
+ * file's name, outlines by their classification, else by their file's name. Cut to the room. */
 void gsn_region_describe(const struct gsn_region *region, char *text, size_t room);
 
 /* gives: the shape as a mask on this lattice, by voxel centres.

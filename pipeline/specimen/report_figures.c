@@ -521,6 +521,8 @@ void gsn_builder_parameters(const struct gsn_report_inputs *e, struct gsn_builde
     struct gsn_report_value *rows = d->parameter;
     size_t *count = &d->report.parameter_count;
 
+    if (e->specimen->region_drawn)
+        gsn_builder_text(rows, count, "region", e->specimen->region_drawn);
     if (p->kind == GSN_KIND_SECTIONS) {
         gsn_builder_value(rows, count, "interval", p->interval_um, "um");
         gsn_builder_text(rows, count, "layout",

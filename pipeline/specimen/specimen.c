@@ -389,6 +389,7 @@ static int process_named(const struct gsn_specimen *specimen,
     alone.protocol = &protocol;
     alone.part = named->name;
     alone.region = specimen->named[number].mask;
+    alone.region_drawn = specimen->named[number].drawn;
     alone.baseline = specimen->named[number].baseline;
     r = gsn_specimen_process(&alone, options, &part, err);
     if (r < 0)

@@ -82,7 +82,8 @@ struct gsn_specimen_baseline {
 
 /* One of the protocol's named regions. */
 struct gsn_specimen_region {
-    const struct gsn_mask *mask; /* of a mask file, or NULL */
+    const struct gsn_mask *mask; /* of a mask file or of outlines, or NULL */
+    const char *drawn;           /* of outlines: where they were drawn; or NULL */
     struct gsn_specimen_baseline baseline; /* of the regions of that name */
 };
 
@@ -90,7 +91,8 @@ struct gsn_specimen {
     const struct gsn_protocol *protocol;
     size_t panel_count;
     const struct gsn_specimen_panel *panel; /* in order of number */
-    const struct gsn_mask *region;          /* of a mask file, or NULL */
+    const struct gsn_mask *region;          /* of a mask file or of outlines, or NULL */
+    const char *region_drawn;               /* of outlines: where they were drawn; or NULL */
     const struct gsn_specimen_region *named; /* as many as the protocol names, in its order */
     const char *part; /* the name of the region that this is one of; NULL: the specimen itself */
     const struct gsn_grid *volume;          /* kind volume */

@@ -39,6 +39,7 @@
 #include "pipeline/core/calendar.h"
 #include "pipeline/core/file.h"
 #include "pipeline/decode/volume.h"
+#include "pipeline/specimen/drawn_region.h"
 #include "pipeline/specimen/protocol.h"
 #include "storage/audit_log.h"
 #include "storage/bench.h"
@@ -371,6 +372,40 @@ static int check_file(const struct gsn_import *import, const char *name, struct 
     return r < 0 ? gsn_fail(err, r, "job.json names \"%s\": %.300s", name, why.text) : GSN_OK;
 }
 
+/* Outlines that cannot be a region are told before anything is written; where they lie is too. */
+static int check_outlines(const struct gsn_import *import, const struct gsn_region *region,
+                          struct gsn_error *err)
+{
+    char said[GSN_DRAWN_SENTENCE], sentence[GSN_DRAWN_SENTENCE + 120];
+    gsn_auto(gsn_mask) mask = NULL;
+    gsn_auto_mem(uint8_t) text = NULL;
+    gsn_auto_fd fd = -1;
+    size_t size = 0;
+    int r;
+
+    if (region->kind != GSN_REGION_DRAWN)
+        return GSN_OK;
+    r = gsn_file_open_in(import->dir, region->file, &fd, err);
+    if (r >= 0)
+        r = gsn_file_read_open(fd, region->file, GSN_DRAWN_MOST_BYTES, &text, &size, err);
+    if (r >= 0)
+        r = gsn_drawn_region_read(region, (const char *)text, size, &mask, said, err);
+    if (r < 0)
+        return r;
+    (void)snprintf(sentence, sizeof sentence, "the region of %.80s: %s", region->file, said);
+    if (import->notice)
+        import->notice(import->context, "job.json", sentence);
+    return GSN_OK;
+}
+
+static int check_region_file(const struct gsn_import *import, const struct gsn_region *region,
+                             struct gsn_error *err)
+{
+    const int r = region->file ? check_file(import, region->file, err) : GSN_OK;
+
+    return r < 0 ? r : check_outlines(import, region, err);
+}
+
 /* the files that the job names. */
 
 /* Before anything is written: a job that must be corrected leaves no specimen of its name. Fails
@@ -379,19 +414,16 @@ static int check_files(const struct gsn_import *import, const struct gsn_protoco
                        struct gsn_error *err)
 {
     const char *const names[] = {
-        protocol->region.file,
         protocol->kind == GSN_KIND_SECTIONS ? NULL : protocol->file,
         protocol->reference[0] ? protocol->reference : NULL,
     };
 
-    int r = GSN_OK;
+    int r = check_region_file(import, &protocol->region, err);
 
     for (size_t i = 0; r >= 0 && i < sizeof names / sizeof names[0]; i++)
         r = names[i] ? check_file(import, names[i], err) : GSN_OK;
     for (size_t i = 0; r >= 0 && i < protocol->named_count; i++)
-        r = protocol->named[i].region.file
-                ? check_file(import, protocol->named[i].region.file, err)
-                : GSN_OK;
+        r = check_region_file(import, &protocol->named[i].region, err);
     for (size_t i = 0; r >= 0 && i < protocol->calibration_count; i++)
         r = check_file(import, protocol->calibration[i].file, err);
     return r;
@@ -492,18 +524,25 @@ static int attach_volume(struct import_work *in, const char *name, struct gsn_er
     return attach_one(in, data, NULL, NULL, err);
 }
 
+/* The file that a region names, if it does. */
+static int attach_region(struct import_work *in, const struct gsn_region *region,
+                         struct gsn_error *err)
+{
+    if (!region->file)
+        return GSN_OK;
+    return region->kind == GSN_REGION_DRAWN ? attach_one(in, region->file, NULL, NULL, err)
+                                            : attach_volume(in, region->file, err);
+}
+
 /* Each of them, and what the header of a volume names, into the spool and the store. Fails with
  * GSN_E_INPUT, and as the spool and the store do. */
 static int attach_files(struct import_work *in, const struct gsn_protocol *protocol,
                         struct gsn_error *err)
 {
-    int r = GSN_OK;
+    int r = attach_region(in, &protocol->region, err);
 
-    if (protocol->region.file)
-        r = attach_volume(in, protocol->region.file, err);
     for (size_t i = 0; r >= 0 && i < protocol->named_count; i++)
-        if (protocol->named[i].region.file)
-            r = attach_volume(in, protocol->named[i].region.file, err);
+        r = attach_region(in, &protocol->named[i].region, err);
     if (r >= 0 && protocol->kind == GSN_KIND_VOLUME)
         r = attach_volume(in, protocol->file, err);
     if (r >= 0 && protocol->kind == GSN_KIND_TILE)

@@ -30,6 +30,7 @@
 #include "pipeline/decode/volume.h"
 #include "pipeline/imaging/imaging.h"
 #include "pipeline/render/lettering.h"
+#include "pipeline/specimen/drawn_region.h"
 #include "storage/catalog.h"
 #include "storage/decision.h"
 #include "storage/panel_log.h"
@@ -63,6 +64,7 @@ struct gsn_job_inputs {
     char (*pose)[16];                /* "pose 2", for the decisions that choose one */
     const char **calibration_sha256; /* its entries are the attachments' */
     struct gsn_mask *region, *mask[GSN_MOST_REGIONS];
+    char drawn[1 + GSN_MOST_REGIONS][GSN_DRAWN_SENTENCE]; /* of the main region and the named */
     struct gsn_grid *volume;
     struct gsn_specimen_region named[GSN_MOST_REGIONS];
     struct taken taken[1 + GSN_MOST_REGIONS]; /* of the main region, and of each named one */
@@ -123,27 +125,36 @@ static void sweep_links(const struct gsn_job_inputs *m, const char *folder)
     (void)rmdir(folder);
 }
 
-/* gives: the mask, where the region names a file. */
+/* gives: the mask, where the region names a file; said: where it was drawn, if it was. */
 static int read_mask(const struct gsn_region *region, const char *folder, double unit_um,
-                     struct gsn_mask **ret_mask, struct gsn_error *err)
+                     struct gsn_mask **ret_mask, char said[GSN_DRAWN_SENTENCE],
+                     struct gsn_error *err)
 {
     gsn_auto_mem(char) path = NULL;
+    gsn_auto_mem(uint8_t) text = NULL;
+    size_t size = 0;
+    int r;
 
     if (!region->file)
         return GSN_OK;
     path = gsn_format("%s/%s", folder, region->file);
-    return path ? gsn_volume_read_mask(path, MOST_VOLUME_BYTES, unit_um, ret_mask, err)
-                : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    if (region->kind != GSN_REGION_DRAWN)
+        return gsn_volume_read_mask(path, MOST_VOLUME_BYTES, unit_um, ret_mask, err);
+    r = gsn_file_read(path, GSN_DRAWN_MOST_BYTES, &text, &size, err);
+    return r < 0 ? r
+                 : gsn_drawn_region_read(region, (const char *)text, size, ret_mask, said, err);
 }
 
 static int read_volumes(struct gsn_job_inputs *m, const char *folder, struct gsn_error *err)
 {
     const struct gsn_protocol *p = m->protocol;
     const double unit_um = p->spacing_unit == GSN_SPACING_MM ? 1000 : 1;
-    int r = read_mask(&p->region, folder, unit_um, &m->region, err);
+    int r = read_mask(&p->region, folder, unit_um, &m->region, m->drawn[0], err);
 
     for (size_t i = 0; r >= 0 && i < p->named_count; i++)
-        r = read_mask(&p->named[i].region, folder, unit_um, &m->mask[i], err);
+        r = read_mask(&p->named[i].region, folder, unit_um, &m->mask[i], m->drawn[1 + i], err);
     if (r >= 0 && p->kind == GSN_KIND_VOLUME) {
         gsn_auto_mem(char) path = gsn_format("%s/%s", folder, p->file);
 
@@ -209,8 +220,11 @@ static int take_files(struct gsn_job_inputs *m, struct gsn_error *err)
             sweep_links(m, folder);
     }
     m->specimen.region = m->region;
-    for (size_t i = 0; i < m->protocol->named_count; i++)
+    m->specimen.region_drawn = m->drawn[0][0] ? m->drawn[0] : NULL;
+    for (size_t i = 0; i < m->protocol->named_count; i++) {
         m->named[i].mask = m->mask[i];
+        m->named[i].drawn = m->drawn[1 + i][0] ? m->drawn[1 + i] : NULL;
+    }
     m->specimen.volume = m->volume;
     if (m->protocol->kind == GSN_KIND_TILE)
         m->specimen.picture_sha256 = find_attached(m, m->protocol->file);

@@ -49,6 +49,7 @@ struct export
     uint8_t *bytes;
     size_t size;
     char said[200]; /* what is in the file */
+    struct gsn_lattice at; /* of a stack; 0 else */
 };
 
 static void export_done(struct export *e)
@@ -224,6 +225,7 @@ static int make_stack(struct export *e, struct gsn_error *err)
         r = gsn_colour_grid_read(bytes, size, &stack, err);
     if (r < 0)
         return r;
+    e->at = stack->at;
     (void)snprintf(e->said, sizeof e->said, "%zu planes of %zu x %zu pixels", stack->at.nz,
                    stack->at.nx, stack->at.ny);
     return gsn_ome_tiff_write(stack, e->request->rest[0], &e->bytes, &e->size, err);
@@ -278,14 +280,26 @@ static const char *find_mistake(const struct export *e, size_t levels)
     return NULL;
 }
 
+/* The "stack" of a region that is drawn on it, in job.json. */
+static json_t *describe_stack(const struct gsn_lattice *at)
+{
+    return json_pack("{s:[i,i,i], s:[f,f,f], s:[f,f,f]}", "size", (int)at->nx, (int)at->ny,
+                     (int)at->nz, "pixel_um", at->step_um.x, at->step_um.y, at->step_um.z,
+                     "origin_um", at->origin_um.x, at->origin_um.y, at->origin_um.z);
+}
+
 static void say_export(const struct export *e)
 {
+    json_t *stack = e->at.nx ? describe_stack(&e->at) : NULL;
+
     if (e->request->json) {
         json_t *root =
             json_pack("{s:o, s:I, s:o, s:I, s:s}", "specimen", gsn_work_text(e->request->rest[0]),
                       "run", (json_int_t)e->kept->run->id, "file", gsn_work_text(e->file), "bytes",
                       (json_int_t)e->size, "holds", e->said);
 
+        if (stack)
+            (void)json_object_set_new(root, "stack", stack);
         (void)json_dumpf(root, stdout, JSON_INDENT(2));
         (void)putchar('\n');
         json_decref(root);
@@ -293,6 +307,14 @@ static void say_export(const struct export *e)
     }
     gsn_work_print(stdout, "%s: %s; run %lld of %s\n", e->file, e->said,
                    (long long)e->kept->run->id, e->request->rest[0]);
+    if (!stack)
+        return;
+    (void)fputs("a region drawn on it: \"region\": {\"kind\": \"drawn\", \"file\": "
+                "\"FILE.geojson\", \"stack\": ",
+                stdout);
+    (void)json_dumpf(stack, stdout, JSON_REAL_PRECISION(10));
+    (void)fputs("}\n", stdout);
+    json_decref(stack);
 }
 
 int gsn_work_export(const struct gsn_work_request *request)

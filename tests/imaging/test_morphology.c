@@ -122,3 +122,22 @@ TEST(holes_are_those_of_a_slow_search)
         CHECK(memcmp(set, slow, (size_t)(width * height)) == 0);
     }
 }
+
+TEST(a_signed_distance_is_measured_from_half_a_pixel_beyond_the_set)
+{
+    enum { WIDE = 20, HIGH = 11, EDGE = 7 };
+    uint8_t set[WIDE * HIGH];
+    float distance[WIDE * HIGH];
+    struct gsn_error err = { 0 };
+
+    for (int i = 0; i < WIDE * HIGH; i++)
+        set[i] = i % WIDE < EDGE;
+    CHECK_OK(gsn_signed_distance(set, WIDE, HIGH, distance, &err), err);
+    for (int y = 0; y < HIGH; y++)
+        for (int x = 0; x < WIDE; x++) {
+            const double across = EDGE - (x + 0.5);
+            const double border = fmin(x + 0.5, fmin(y + 0.5, HIGH - y - 0.5));
+
+            CHECK_NEAR(distance[y * WIDE + x], across > 0 ? fmin(across, border) : across, 1e-6);
+        }
+}

@@ -92,9 +92,19 @@ def import_job(job, bin_folder, where, say):
         (scans / "job.json").write_text(json.dumps(job))
         for name in re.findall(r'"([^"]+\.(?:tif|png|mhd|nrrd))"', json.dumps(job)):
             (scans / name).write_bytes(b"any")
+        for name in re.findall(r'"([^"]+\.geojson)"', json.dumps(job)):
+            (scans / name).write_text(json.dumps(draw_outline(job["region"]["class"])))
         done = ended([bin_folder / "gieson", "-s", "store", "import", "scans"], folder)
         if done.returncode != 0:
             say(f"{where}: the job {json.dumps(job)[:80]}... is not taken: {done.stderr.strip()}")
+
+
+def draw_outline(name):
+    """A square on the second section, as QuPath writes it."""
+    return {"type": "FeatureCollection", "features": [
+        {"type": "Feature", "properties": {"classification": {"name": name}}, "geometry": {
+            "type": "Polygon", "plane": {"c": -1, "z": 1, "t": 0},
+            "coordinates": [[[5, 5], [60, 5], [60, 60], [5, 60], [5, 5]]]}}]}
 
 
 def check_json(found, bin_folder, say):

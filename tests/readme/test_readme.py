@@ -15,6 +15,7 @@
 - The same holds for the pages of docs/user, for the indented pieces of a job in job.md, and verbs named
   in any page of docs are verbs.
 - The indented commands of docs/user/register.md register a folder of drawn sections.
+- What `gieson export` prints of a stack is what its OME-TIFF says of itself.
 - The examples of docs/user/model.md and reference.md, which ask the specimen of the README's, are typed
   behind them. Blocks marked "sh tutorial" are typed in a folder of their own.
 """
@@ -236,6 +237,19 @@ def type_examples(found, kind, environment, folder, say):
     return done
 
 
+def check_stack(environment, folder, say):
+    """What export prints of a stack for job.json is what its file says of itself."""
+    done = subprocess.run(["gieson", "export", "GVP-D-S00", "again.ome.tif", "--json"], cwd=folder,
+                          env=environment, capture_output=True, text=True, timeout=LINE_LIMIT_S)
+    stack = json.loads(done.stdout or "{}").get("stack", {})
+    head = (pathlib.Path(folder) / "again.ome.tif").read_bytes() if done.returncode == 0 else b""
+    told = {key: [float(re.search(rf'{name}{axis}="([^"]*)"'.encode(), head)[1]) for axis in "XYZ"]
+            for key, name in (("size", " Size"), ("pixel_um", "PhysicalSize"), ("origin_um", "Position"))
+            if head}
+    if not told or stack != told:
+        say(f"export says {stack} of a stack whose file says {told}: {done.stderr}")
+
+
 def type_tutorial(environment, say):
     page = (ROOT / "docs/user/tutorial.md").read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory(prefix="gieson-tutorial-") as folder:
@@ -260,6 +274,7 @@ def type_readme(bin_folder, environment, say):
             found = blocks((ROOT / name).read_text(encoding="utf-8"))
             if type_examples(found, "example", environment, folder, say) == 0:
                 say(f"{name}: no example was typed to its end")
+        check_stack(environment, folder, say)
 
 
 def main():

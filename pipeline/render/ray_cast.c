@@ -15,15 +15,17 @@
  * integrated by Gauss's rule of 3 points in Kronrod's of 7, halved until the two agree.
  *
  * Steps: (1) the camera, and the pixels that the shadow of each tetrahedron and face may touch;
- * (2) tile by tile: their pieces of every ray; (3) per ray what the clip leaves, the ends of all
- * pieces in order, and between two ends the sum of the polynomials there; (4) that sum integrated,
- * composed, or searched for the level; (5) rays of a pixel averaged.
+ * (2) tile by tile, and there by depth: their pieces of every ray; (3) per ray what the clip leaves,
+ * and the pieces by where they begin; (4) an X-ray adds the integrals of the pieces; otherwise the
+ * sum of the polynomials between two ends is composed, or searched for the level; (5) rays of a
+ * pixel averaged.
  *
  * Exact but for rounding: X-ray integrals, optical depths, cuts, levels. Held to GSN_RAY_TOLERANCE:
  * colours. Rays are moved by 1e-9 px so that none runs in a face that pixels line up with.
  *
  * Failure: GSN_E_INPUT on a view, style or clip that cannot be; GSN_E_LIMIT; GSN_E_NOMEM.
- * Cost: per ray its pieces, sorted; each is a quadrature unless its colour hardly varies. */
+ * Cost: per ray its pieces, sorted by insertion, as they come nearly sorted; each is a quadrature
+ * unless its colour hardly varies. */
 #include "pipeline/render/ray_cast.h"
 
 #include "pipeline/core/geom.h"
@@ -117,36 +119,67 @@ static int reach_chunk(size_t chunk, void *context, struct gsn_error *err)
     return GSN_OK;
 }
 
+struct depth {
+    float um;
+    uint32_t tet;
+};
+
+static int by_depth(const void *a, const void *b)
+{
+    const struct depth *p = a, *q = b;
+
+    if (p->um < q->um || p->um > q->um)
+        return p->um < q->um ? -1 : 1;
+    return (p->tet > q->tet) - (p->tet < q->tet);
+}
+
+/* Items by the depth of the middles of tetrahedra. */
+static void order_items(const struct casting *casting, struct depth *depth, uint32_t *ret_order)
+{
+    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(casting->spline));
+    const double *into = casting->camera.into;
+
+    for (size_t t = 0; t < mesh->tet_count; t++) {
+        double sum = 0;
+
+        for (int k = 0; k < 4; k++)
+            sum += gsn_dot3(into, mesh->vertex[mesh->tet[t][k]]);
+        depth[t] = (struct depth){ (float)(sum / 4), (uint32_t)t };
+    }
+    qsort(depth, mesh->tet_count, sizeof *depth, by_depth);
+    for (size_t i = 0; i < casting->items; i++)
+        ret_order[i] = 5 * depth[i / 5].tet + (uint32_t)(i % 5);
+}
+
 static int bin_items(struct casting *casting, unsigned threads, struct gsn_error *err)
 {
     const size_t tets = gsn_dms_mesh(gsn_spline_space(casting->spline))->tet_count;
+    gsn_auto_mem(struct depth) depth = NULL;
+    gsn_auto_mem(uint32_t) order = NULL;
     int r;
 
     if (tets > UINT32_MAX / 5)
         return gsn_fail(err, GSN_E_LIMIT, "%zu tetrahedra are too many for a picture", tets);
     casting->items = 5 * tets;
     casting->reach = gsn_alloc_array(casting->items, sizeof *casting->reach);
-    if (!casting->reach)
+    depth = gsn_alloc_array(tets, sizeof *depth);
+    order = gsn_alloc_array(casting->items, sizeof *order);
+    if (!casting->reach || !depth || !order)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a picture of %zu tetrahedra", tets);
     r = gsn_parallel_for((tets + PER_CHUNK - 1) / PER_CHUNK, threads, reach_chunk, casting, err);
-    return r < 0 ? r
-                 : gsn_ray_bin(casting->reach, NULL, casting->items, &casting->camera, TILE,
-                               &casting->bins, err);
+    if (r < 0)
+        return r;
+    order_items(casting, depth, order);
+    return gsn_ray_bin(casting->reach, order, casting->items, &casting->camera, TILE,
+                       &casting->bins, err);
 }
 
 /* --- the pieces of the rays of a tile --- */
 
 struct kept {
-    struct gsn_line_piece piece;
+    double from, to, value[4]; /* as of gsn_line_piece */
     uint16_t ray; /* of the tile */
     uint8_t home; /* of a tetrahedron, not of a face */
-};
-
-/* An end of a piece, or of what the clip leaves (piece = -1). */
-struct end {
-    double at;
-    int32_t piece;
-    int32_t opens;
 };
 
 struct tile {
@@ -154,21 +187,21 @@ struct tile {
     uint32_t low[2], size[2]; /* rays */
     struct gsn_ray ray[TILE * TILE];
     struct kept *kept;
+    double (*slope)[3][4]; /* of kept, if gradients are asked for */
     size_t count, room;
-    uint32_t *order; /* of kept, by ray */
-    struct end *end;
-    int32_t *active;
-    size_t end_room;
-    struct gsn_ray_spans spans; /* of one ray */
+    uint32_t *order;  /* of kept, by ray, and there by where they begin */
+    uint32_t *active; /* of kept, on a stretch; room for all */
+    struct gsn_ray_spans spans, runs; /* of one ray */
 };
 
 static void tile_done(struct tile *tile)
 {
     gsn_free(tile->kept);
+    gsn_free(tile->slope);
     gsn_free(tile->order);
-    gsn_free(tile->end);
     gsn_free(tile->active);
     gsn_ray_spans_done(&tile->spans);
+    gsn_ray_spans_done(&tile->runs);
 }
 #define auto_tile __attribute__((cleanup(tile_done))) struct tile
 
@@ -179,14 +212,31 @@ static int keep_pieces(struct tile *tile, const struct gsn_line_piece *piece, si
         const size_t room = 2 * tile->room + count + 1024;
         struct kept *kept = gsn_realloc_array(tile->kept, room, sizeof *kept);
 
+        if (kept)
+            tile->kept = kept;
+        if (kept && tile->casting->with_slope) {
+            double(*slope)[3][4] = gsn_realloc_array(tile->slope, room, sizeof *slope);
+
+            if (!slope)
+                return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
+            tile->slope = slope;
+        }
         if (!kept)
             return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
-        tile->kept = kept;
         tile->room = room;
     }
-    for (size_t i = 0; i < count; i++)
-        tile->kept[tile->count++] =
-            (struct kept){ piece[i], (uint16_t)ray, (uint8_t)home };
+    for (size_t i = 0; i < count; i++) {
+        struct kept *kept = &tile->kept[tile->count];
+
+        kept->from = piece[i].from;
+        kept->to = piece[i].to;
+        memcpy(kept->value, piece[i].value, sizeof kept->value);
+        kept->ray = (uint16_t)ray;
+        kept->home = (uint8_t)home;
+        if (tile->casting->with_slope)
+            memcpy(tile->slope[tile->count], piece[i].slope, sizeof piece[i].slope);
+        tile->count++;
+    }
     return GSN_OK;
 }
 
@@ -224,15 +274,6 @@ static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *fac
         }
     }
     return r;
-}
-
-static int by_place(const void *a, const void *b)
-{
-    const struct end *p = a, *q = b;
-
-    if (p->at < q->at || p->at > q->at)
-        return p->at < q->at ? -1 : 1;
-    return (p->piece > q->piece) - (p->piece < q->piece);
 }
 
 /* --- a piece: one polynomial on a stretch of a ray --- */
@@ -541,112 +582,142 @@ static void find_surface(const struct casting *casting, const struct gsn_ray *ra
 
 /* --- a ray --- */
 
-/* The sum of what is active between two ends. */
-static void sum_active(const struct tile *tile, const int32_t *active, size_t count, double from,
-                       double to, struct stretch *ret)
+/* The sum of what is active between two places. */
+static void sum_active(const struct tile *tile, size_t count, double from, double to,
+                       struct stretch *ret)
 {
     *ret = (struct stretch){ .from = from, .length = to - from };
     for (size_t i = 0; i < count; i++) {
-        const struct gsn_line_piece *piece = &tile->kept[active[i]].piece;
-        const double span = piece->to - piece->from;
-        const double at = (from - piece->from) / span, scale = (to - from) / span;
+        const struct kept *kept = &tile->kept[tile->active[i]];
+        const double span = kept->to - kept->from;
+        const double at = (from - kept->from) / span, scale = (to - from) / span;
 
-        add_shifted(piece->value, at, scale, ret->value);
+        add_shifted(kept->value, at, scale, ret->value);
         for (int c = 0; tile->casting->with_slope && c < 3; c++)
-            add_shifted(piece->slope[c], at, scale, ret->slope[c]);
+            add_shifted(tile->slope[tile->active[i]][c], at, scale, ret->slope[c]);
     }
 }
 
-static void add_stretch(const struct casting *casting, const struct gsn_ray *ray,
-                        const struct stretch *stretch, struct seen *seen)
+/* The whole of it between two places: a piece is 0..1 of itself. */
+static double integrate_piece(const struct kept *kept, double from, double to)
 {
-    const double *c = stretch->value;
+    const double span = kept->to - kept->from, low = (from - kept->from) / span;
+    const double high = (to - kept->from) / span, *c = kept->value;
+    const double upper = high * (c[0] + high * (c[1] / 2 + high * (c[2] / 3 + high * c[3] / 4)));
+    const double lower = low * (c[0] + low * (c[1] / 2 + low * (c[2] / 3 + low * c[3] / 4)));
 
-    seen->any = 1;
-    if (casting->mode == MODE_XRAY)
-        seen->integral += stretch->length * (c[0] + c[1] / 2 + c[2] / 3 + c[3] / 4);
-    else if (casting->mode == MODE_VOLUME)
-        add_volume(casting, ray, stretch, seen);
-    else
-        find_surface(casting, ray, stretch, seen);
+    return span * (upper - lower);
 }
 
-/* Goes along the ends in order, keeping what is active. */
-static void follow_ray(struct tile *tile, const struct gsn_ray *ray, size_t ends, struct seen *seen)
+/* An X-ray is a sum: the pieces, where the ray is in the mesh and in what the clip leaves of it. */
+static int add_integrals(struct tile *tile, const uint32_t *order, size_t count, struct seen *seen,
+                         struct gsn_error *err)
 {
     const double least = 1e-9 / tile->casting->camera.px_per_um; /* um: rounding of places */
-    size_t active = 0, homes = 0;
-    int open = 0, fresh = 1;
+    struct gsn_ray_spans *runs = &tile->runs;
+    int r = GSN_OK;
 
-    for (size_t i = 0; i + 1 < ends && !seen->done; i++) {
-        const struct end *end = &tile->end[i];
-        const double next = tile->end[i + 1].at;
-        struct stretch stretch;
+    runs->count = 0;
+    for (size_t i = 0; r >= 0 && i < count; i++) {
+        const struct kept *kept = &tile->kept[order[i]];
 
-        if (end->piece < 0) {
-            open += end->opens ? 1 : -1;
-            fresh |= end->opens;
-        } else if (end->opens) {
-            tile->active[active++] = end->piece;
-            homes += tile->kept[end->piece].home;
-        } else {
-            size_t at = 0;
-
-            while (tile->active[at] != end->piece)
-                at++;
-            active--;
-            memmove(&tile->active[at], &tile->active[at + 1],
-                    (active - at) * sizeof *tile->active);
-            homes -= tile->kept[end->piece].home;
-        }
-        if (!(next - end->at > least))
+        if (!kept->home)
             continue;
-        if (!open || homes == 0) {
-            fresh = 1;
-            continue;
+        if (runs->count > 0 && kept->from <= runs->span[runs->count - 1][1] + least)
+            runs->span[runs->count - 1][1] = fmax(kept->to, runs->span[runs->count - 1][1]);
+        else
+            r = gsn_ray_add_span(runs, kept->from, kept->to, err);
+    }
+    for (size_t s = 0; r >= 0 && s < tile->spans.count; s++) {
+        for (size_t k = 0; k < runs->count; k++) {
+            const double from = fmax(tile->spans.span[s][0], runs->span[k][0]);
+            const double to = fmin(tile->spans.span[s][1], runs->span[k][1]);
+
+            if (!(to - from > least))
+                continue;
+            seen->any = 1;
+            for (size_t i = 0; i < count; i++) {
+                const struct kept *kept = &tile->kept[order[i]];
+
+                if (kept->from < to && kept->to > from)
+                    seen->integral +=
+                        integrate_piece(kept, fmax(from, kept->from), fmin(to, kept->to));
+            }
         }
-        sum_active(tile, tile->active, active, end->at, next, &stretch);
-        stretch.fresh = fresh;
-        stretch.share = 1 / (8.0 * (double)ends); /* a stretch has seven parts at most */
-        add_stretch(tile->casting, ray, &stretch, seen);
-        fresh = 0;
+    }
+    return r;
+}
+
+/* Goes along the pieces, which are in the order in which they begin, keeping what is active. */
+static void follow_ray(struct tile *tile, const struct gsn_ray *ray, const uint32_t *order,
+                       size_t count, struct seen *seen)
+{
+    const double least = 1e-9 / tile->casting->camera.px_per_um; /* um: rounding of places */
+    size_t opened = 0, active = 0;
+
+    for (size_t s = 0; s < tile->spans.count && !seen->done; s++) {
+        const double end = tile->spans.span[s][1];
+        double t = tile->spans.span[s][0], next;
+        int fresh = 1;
+
+        for (; t < end && !seen->done; t = next) {
+            size_t homes = 0, left = 0;
+            struct stretch stretch;
+
+            next = end;
+            for (; opened < count && tile->kept[order[opened]].from <= t; opened++)
+                tile->active[active++] = order[opened];
+            for (size_t i = 0; i < active; i++) {
+                const struct kept *kept = &tile->kept[tile->active[i]];
+
+                if (kept->to <= t)
+                    continue;
+                tile->active[left++] = tile->active[i];
+                homes += kept->home;
+                next = fmin(next, kept->to);
+            }
+            active = left;
+            if (opened < count)
+                next = fmin(next, tile->kept[order[opened]].from);
+            if (!(next - t > least))
+                continue;
+            if (homes == 0) {
+                fresh = 1;
+                continue;
+            }
+            sum_active(tile, active, t, next, &stretch);
+            stretch.fresh = fresh;
+            /* Of so many ends; a stretch has seven parts at most. */
+            stretch.share = 1 / (16.0 * (double)(count + tile->spans.count));
+            if (tile->casting->mode == MODE_VOLUME)
+                add_volume(tile->casting, ray, &stretch, seen);
+            else
+                find_surface(tile->casting, ray, &stretch, seen);
+            fresh = 0;
+        }
     }
 }
 
-static int make_end_room(struct tile *tile, size_t ends, struct gsn_error *err)
-{
-    struct end *end;
-    int32_t *active;
-
-    if (ends <= tile->end_room)
-        return GSN_OK;
-    end = gsn_realloc_array(tile->end, 2 * ends, sizeof *end);
-    if (end)
-        tile->end = end;
-    active = gsn_realloc_array(tile->active, 2 * ends, sizeof *active);
-    if (active)
-        tile->active = active;
-    if (!end || !active)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of a ray");
-    tile->end_room = 2 * ends;
-    return GSN_OK;
-}
-
-/* The pieces order[0..count) belong to the ray. */
-static int cast_ray(struct tile *tile, const struct gsn_ray *ray, const uint32_t *order,
-                    size_t count, struct seen *seen, struct gsn_error *err)
+/* The pieces order[0..count) belong to the ray; nearly in the order in which they begin, because
+ * tetrahedra are visited by depth. */
+static int cast_ray(struct tile *tile, const struct gsn_ray *ray, uint32_t *order, size_t count,
+                    struct seen *seen, struct gsn_error *err)
 {
     const struct gsn_ray_clip *clip = tile->casting->clip;
     double from = INFINITY, to = -INFINITY;
-    size_t ends = 0;
     int r;
 
     for (size_t i = 0; i < count; i++) {
-        const struct kept *kept = &tile->kept[order[i]];
+        const uint32_t piece = order[i];
+        const struct kept *kept = &tile->kept[piece];
+        size_t at = i;
 
+        for (; at > 0 && tile->kept[order[at - 1]].from > kept->from; at--)
+            order[at] = order[at - 1];
+        order[at] = piece;
         if (kept->home) {
-            from = fmin(from, kept->piece.from);
-            to = fmax(to, kept->piece.to);
+            from = fmin(from, kept->from);
+            to = fmax(to, kept->to);
         }
     }
     if (!(from < to))
@@ -654,23 +725,11 @@ static int cast_ray(struct tile *tile, const struct gsn_ray *ray, const uint32_t
     tile->spans.count = 0;
     r = clip && clip->border ? gsn_ray_find_spans(clip, ray, from, to, &tile->spans, err)
                              : gsn_ray_add_span(&tile->spans, from, to, err);
+    if (r >= 0 && tile->casting->mode == MODE_XRAY)
+        return add_integrals(tile, order, count, seen, err);
     if (r >= 0)
-        r = make_end_room(tile, 2 * (count + tile->spans.count), err);
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < count; i++) {
-        const struct gsn_line_piece *piece = &tile->kept[order[i]].piece;
-
-        tile->end[ends++] = (struct end){ piece->from, (int32_t)order[i], 1 };
-        tile->end[ends++] = (struct end){ piece->to, (int32_t)order[i], 0 };
-    }
-    for (size_t i = 0; i < tile->spans.count; i++) {
-        tile->end[ends++] = (struct end){ tile->spans.span[i][0], -1, 1 };
-        tile->end[ends++] = (struct end){ tile->spans.span[i][1], -1, 0 };
-    }
-    qsort(tile->end, ends, sizeof *tile->end, by_place);
-    follow_ray(tile, ray, ends, seen);
-    return GSN_OK;
+        follow_ray(tile, ray, order, count, seen);
+    return r;
 }
 
 /* Counting sort of the pieces by ray; ret_start[i] is where those of ray i begin. */
@@ -679,7 +738,8 @@ static int order_pieces(struct tile *tile, size_t ret_start[TILE * TILE + 2],
 {
     memset(ret_start, 0, (TILE * TILE + 2) * sizeof *ret_start);
     tile->order = gsn_alloc_array(tile->count, sizeof *tile->order);
-    if (!tile->order)
+    tile->active = gsn_alloc_array(tile->count, sizeof *tile->active);
+    if (!tile->order || !tile->active)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
     for (size_t i = 0; i < tile->count; i++)
         ret_start[tile->kept[i].ray + 2]++;

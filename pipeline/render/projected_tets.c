@@ -33,7 +33,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { TILE = 32, PIXELS = TILE * TILE, PER_CHUNK = 512, BATCHES = 20, LANES = 8 };
+enum { TILE = 64, PIXELS = TILE * TILE, PER_CHUNK = 512, BATCHES = 20, LANES = 8 };
 
 /* Of its depth, a face's rise over a micrometre beside it. */
 #define EDGE_ON 1e-12
@@ -542,8 +542,6 @@ static float find_shade(const struct projection *p, float steep2, float rise)
 {
     const float steep = sqrtf(steep2), blur = (float)p->blur;
 
-    if (!(p->style->shading > 0))
-        return 1;
     return 1 - (float)p->style->shading * (steep2 - fminf(fabsf(rise), steep) * steep) /
                    (steep2 + blur * blur);
 }
@@ -554,7 +552,8 @@ static int add_light(struct tile *tile, const struct cell *cell, const struct ro
 {
     const struct projection *p = tile->p;
     const float low = (float)p->style->low, scale = 1 / (float)(p->style->high - p->style->low);
-    const float opaque = (float)p->style->opaque_um;
+    const float per_um = 1 / (float)p->style->opaque_um;
+    const int shaded = p->style->shading > 0;
 
     for (int i = 0; i < count; i++) {
         const float x = (float)(row->first + i), rise = row->slope + row->slope_step * x;
@@ -572,9 +571,9 @@ static int add_light(struct tile *tile, const struct cell *cell, const struct ro
             continue;
         a = unit_clamp(a);
         b = unit_clamp(b);
-        made.depth = mean * (out[i] - in[i]) * norm / opaque;
+        made.depth = mean * (out[i] - in[i]) * norm * per_um;
         made.share = a + b > 0 ? (a * a + a * b + b * b) / (1.5F * (a + b)) : 0;
-        made.shade = find_shade(p, cell->steep2, rise / norm);
+        made.shade = shaded ? find_shade(p, cell->steep2, rise / norm) : 1;
         if (tile->count[pixel + (size_t)i] == tile->room) {
             const int r = make_room(tile, err);
 
@@ -596,7 +595,7 @@ static void compose(const struct tile *tile, size_t pixel, float ret_rgba[4])
     float left = 1, light[3] = { 0 };
 
     for (uint32_t i = 0; i < tile->count[pixel] && left > (float)GSN_RAY_PART_TOLERANCE; i++) {
-        const float gone = -expm1f(-list[i].depth), bright = left * gone * list[i].shade;
+        const float kept = left * expf(-list[i].depth), bright = (left - kept) * list[i].shade;
         const float place = list[i].share * (GSN_RAY_COLOURS - 1);
         const int below = place < GSN_RAY_COLOURS - 2 ? (int)place : GSN_RAY_COLOURS - 2;
         const float rest = place - (float)below;
@@ -604,7 +603,7 @@ static void compose(const struct tile *tile, size_t pixel, float ret_rgba[4])
 
         for (int c = 0; c < 3; c++)
             light[c] += bright * ((1 - rest) * (float)c0[c] + rest * (float)c1[c]);
-        left -= left * gone;
+        left = kept;
     }
     memcpy(ret_rgba, light, sizeof light);
     ret_rgba[3] = 1 - left;

@@ -276,9 +276,9 @@ static void race_vtk(void)
 
         (void)bench_peer_start(&peer, argv);
         (void)bench_peer_ask(&peer, "load", NULL);
+        contest(&scene, "rays_projected", run_projected, &peer, MAPPERS[0], path[2]);
         for (size_t m = 0; m < sizeof MAPPERS / sizeof *MAPPERS; m++)
             contest(&scene, "rays_linear", run_light, &peer, MAPPERS[m], path[2]);
-        contest(&scene, "rays_projected", run_projected, &peer, MAPPERS[0], path[2]);
         bench_peer_end(&peer);
     }
     for (int i = 0; i < 3; i++)

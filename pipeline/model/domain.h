@@ -63,14 +63,6 @@ int gsn_domain_follow(const struct gsn_grid *grid, const struct gsn_mask *region
                       const struct gsn_domain_options *options, struct gsn_tets **ret_mesh,
                       struct gsn_domain_report *ret_report, struct gsn_error *err);
 
-/* gives: a refinement in which no tetrahedron whose centroid lies in tetrahedron t is larger than
- * max_um3[t] (0: no limit). The boundary stays; elsewhere the mesh may change to keep its quality.
- * Of the options, cell_um and max_tet_um3 do not matter here. Fails as gsn_domain_build() does,
- * with GSN_E_INPUT on a limit that is no volume. */
-int gsn_domain_refine(const struct gsn_tets *mesh, const double *max_um3,
-                      const struct gsn_domain_options *options, struct gsn_tets **ret_mesh,
-                      struct gsn_error *err);
-
 #ifdef __cplusplus
 }
 #endif

@@ -420,14 +420,6 @@ static int check_same(double value, double truth, const char *what, struct gsn_e
                     truth);
 }
 
-int gsn_domain_verify_same(const struct gsn_tets *mesh, const struct gsn_tets *before,
-                           struct gsn_error *err)
-{
-    const int r = check_same(gsn_domain_volume(mesh), gsn_domain_volume(before), "volume", err);
-
-    return r < 0 ? r : check_same(gsn_domain_area(mesh), gsn_domain_area(before), "surface", err);
-}
-
 /* In units of cells, counted from plane 0 of each axis. */
 static void cell_units(const struct gsn_cells *cells, struct gsn_vec3 p, double ret[3])
 {

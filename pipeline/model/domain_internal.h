@@ -78,10 +78,6 @@ int gsn_domain_verify_cells(const struct gsn_tets *mesh, const struct gsn_cells 
 int gsn_domain_verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask *region,
                              struct gsn_error *err);
 
-/* Volume and boundary area agree to 1e-9. Fails with GSN_E_MESH. */
-int gsn_domain_verify_same(const struct gsn_tets *mesh, const struct gsn_tets *before,
-                           struct gsn_error *err);
-
 /* The voxels from first to before end, along each axis, whose centres lie within margin (in voxels)
  * of the tetrahedron's box. */
 void gsn_domain_voxels_near(const struct gsn_tets *mesh, size_t tet, const struct gsn_lattice *at,

@@ -8,14 +8,15 @@
  *
  * Steps: (1) clouds, space and fit on the first mesh; (2) tetrahedra above the tolerance that have
  * samples enough to be split, those with most squared error first; (3) as many of them as the
- * budget of unknowns allows; (4) TetGen refines the mesh to their limits of volume, and with half
- * of them again when more came out than expected; (5) a fit; (6) taken if it predicts better by a
- * thousandth, and so on.
+ * budget of unknowns allows; (4) the mesh is bisected to their limits of volume
+ * (bisection.c), and with half of them again when more came out than expected; (5) a fit; (6) taken
+ * if it predicts better by a thousandth, and so on.
  *
- * Failure: that of the first fit; a later round that fails for the mesh, the mesher or the fit ends
+ * Failure: that of the first fit; a later round that fails for the mesh or the fit ends
  * the rounds, and the report says why. Cost: a mesh and a fit a round, the last the largest. */
 #include "pipeline/model/refine.h"
 
+#include "pipeline/model/bisection.h"
 #include "pipeline/model/fit.h"
 
 #include <assert.h>
@@ -26,9 +27,9 @@
 static const double CLOUD = 0.015, SAMPLES_PER_UNKNOWN = 8;
 enum { DEGREE = 2, SAMPLES_PER_TET = 20, TRIES = 4 };
 
-/* A round splits a tetrahedron into about eight, halving its edges: TetGen's tetrahedra come out
- * at about half the limit they are given. */
-static const double LIMIT = 0.25, COMES_OUT_AT = 0.5;
+/* A round splits a tetrahedron into eight, three bisections; where its samples allow less, pieces
+ * come out at half to the whole of their limit. */
+static const double LIMIT = 0.125, COMES_OUT_AT = 0.5;
 
 /* A round must lower the predicted error by this part of it: less is not worth the unknowns. */
 static const double GAIN = 1e-3;
@@ -196,8 +197,7 @@ static size_t count_affordable(const struct state *state, const struct wish *wis
 }
 
 static int split_wishes(const struct state *state, const struct wish *wishes, size_t count,
-                        const struct gsn_adapt_options *options, struct gsn_tets **ret_mesh,
-                        struct gsn_error *err)
+                        struct gsn_tets **ret_mesh, struct gsn_error *err)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(state->space);
     gsn_auto_mem(double) limit = gsn_alloc_array(mesh->tet_count, sizeof *limit);
@@ -206,7 +206,7 @@ static int split_wishes(const struct state *state, const struct wish *wishes, si
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while refining a fit");
     for (size_t i = 0; i < count; i++)
         limit[wishes[i].tet] = wishes[i].limit;
-    return gsn_domain_refine(mesh, limit, &options->domain, ret_mesh, err);
+    return gsn_tets_bisect(mesh, limit, ret_mesh, err);
 }
 
 /* One refinement and its fit into ret; with fewer wishes when it comes out over the budget. Without
@@ -229,7 +229,7 @@ static int next_state(const struct state *state, const struct gsn_samples *sampl
     for (unsigned attempt = 0; attempt < TRIES && count > 0; attempt++, count /= 2) {
         gsn_auto(gsn_tets) mesh = NULL;
         struct state next = { .space = NULL };
-        int r = split_wishes(state, wishes, count, options, &mesh, err);
+        int r = split_wishes(state, wishes, count, &mesh, err);
 
         if (r >= 0)
             r = space_on(mesh, options, &next.space, err);

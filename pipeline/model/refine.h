@@ -9,7 +9,7 @@
 #ifndef GSN_MODEL_REFINE_H
 #define GSN_MODEL_REFINE_H
 
-#include "pipeline/model/domain.h"
+#include "pipeline/model/dms.h"
 #include "pipeline/model/fit.h"
 
 #ifdef __cplusplus
@@ -19,7 +19,6 @@ extern "C" {
 enum { GSN_ADAPT_MOST_ROUNDS = 16 };
 
 struct gsn_adapt_options {
-    struct gsn_domain_options domain; /* of refinements */
     struct gsn_fit_options fit; /* with folds every round chooses its own weight of the jumps */
     unsigned degree;            /* 0: 2 */
     double cloud;               /* radius / smallest altitude, see gsn_dms_clouds(); 0: 0.015 */

@@ -78,16 +78,6 @@ void fill_facets(tetgenio &in, const gsn_surface &surface)
     }
 }
 
-void fill_tetrahedra(tetgenio &in, const gsn_soup &mesh, const double *max_um3)
-{
-    in.tetrahedronlist = new int[4 * mesh.tet_count];
-    in.tetrahedronvolumelist = new REAL[mesh.tet_count];
-    in.numberoftetrahedra = checked_int(mesh.tet_count);
-    in.numberofcorners = 4;
-    std::copy(&mesh.tet[0][0], &mesh.tet[0][0] + 4 * mesh.tet_count, in.tetrahedronlist);
-    std::copy(max_um3, max_um3 + mesh.tet_count, in.tetrahedronvolumelist);
-}
-
 std::unique_ptr<gsn_soup, free_soup> copy_out(const tetgenio &out)
 {
     gsn_soup *soup = nullptr;
@@ -100,12 +90,6 @@ std::unique_ptr<gsn_soup, free_soup> copy_out(const tetgenio &out)
     return std::unique_ptr<gsn_soup, free_soup>(soup);
 }
 
-bool corners_exist(const gsn_soup &mesh)
-{
-    return std::all_of(&mesh.tet[0][0], &mesh.tet[0][0] + 4 * mesh.tet_count,
-                       [&mesh](uint32_t corner) { return corner < mesh.vertex_count; });
-}
-
 bool in_range(const gsn_tetgen_options &options)
 {
     return std::isfinite(options.max_tet_um3) && options.max_tet_um3 >= 0 &&
@@ -113,18 +97,16 @@ bool in_range(const gsn_tetgen_options &options)
            options.min_dihedral_deg >= 0 && options.min_dihedral_deg <= 18;
 }
 
-/* p: a surface, r: a mesh; q: quality; a: largest volume, without a number one per tetrahedron; Y:
- * facets stay as they are, so that no vertex leaves the surface that inner ones stand for. */
+/* p: a surface; q: quality; a: largest volume; Y: facets stay as they are, so that no vertex leaves
+ * the surface that inner ones stand for. */
 void switches(const gsn_mesh_question &question, char *text, size_t room)
 {
     const gsn_tetgen_options &options = question.options;
-    const bool keeps = question.surface && question.surface->inner_count > 0;
-    int length = std::snprintf(text, room, "%cq%.6f/%.6f%sQ", question.surface ? 'p' : 'r',
-                               options.radius_edge, options.min_dihedral_deg, keeps ? "Y" : "");
+    const int length =
+        std::snprintf(text, room, "pq%.6f/%.6f%sQ", options.radius_edge, options.min_dihedral_deg,
+                      question.surface->inner_count > 0 ? "Y" : "");
 
-    if (!question.surface)
-        std::snprintf(text + length, room - static_cast<size_t>(length), "a");
-    else if (options.max_tet_um3 > 0)
+    if (options.max_tet_um3 > 0)
         std::snprintf(text + length, room - static_cast<size_t>(length), "a%.17g",
                       options.max_tet_um3);
 }
@@ -162,15 +144,8 @@ try {
             "(0 to 18)",
             question->options.max_tet_um3, question->options.radius_edge,
             question->options.min_dihedral_deg);
-    if (question->surface) {
-        fill_points(in, question->surface->vertex, question->surface->vertex_count);
-        fill_facets(in, *question->surface);
-    } else {
-        if (!corners_exist(*question->mesh))
-            return gsn_fail(err, GSN_E_INPUT, "a tetrahedron has a corner that does not exist");
-        fill_points(in, question->mesh->vertex, question->mesh->vertex_count);
-        fill_tetrahedra(in, *question->mesh, question->max_um3);
-    }
+    fill_points(in, question->surface->vertex, question->surface->vertex_count);
+    fill_facets(in, *question->surface);
     switches(*question, text, sizeof text);
     if (!behaviour.parse_commandline(text))
         return gsn_fail(err, GSN_E_INPUT, "TetGen does not know the switches %s", text);

@@ -131,8 +131,8 @@ int gsn_surface_check(const struct gsn_surface *surface, struct gsn_error *err)
 /* --- questions and answers as bytes --- */
 
 /* The first eight bytes of each kind of message. */
-enum kind { KIND_FILL, KIND_REFINE, KIND_MESH, KIND_REFUSAL, KINDS };
-static const char MAGIC[KINDS][8] = { "gsnfill1", "gsnrefi1", "gsnmesh1", "gsnnope1" };
+enum kind { KIND_FILL, KIND_MESH, KIND_REFUSAL, KINDS };
+static const char MAGIC[KINDS][8] = { "gsnfill1", "gsnmesh1", "gsnnope1" };
 
 enum {
     COUNTS = 3,              /* of vertices, facets, tetrahedra or inner facets */
@@ -140,7 +140,6 @@ enum {
     OPTIONS = 3 * 8,         /* behind the header of a question */
     VERTEX = 24,
     CORNERS = 16,
-    LIMIT = 8,
 };
 
 struct cursor {
@@ -272,41 +271,31 @@ void gsn_soup_free(struct gsn_soup *soup)
 void gsn_mesh_question_done(struct gsn_mesh_question *question)
 {
     gsn_surface_free(question->surface);
-    gsn_soup_free(question->mesh);
-    gsn_free(question->max_um3);
     *question = (struct gsn_mesh_question){ .surface = NULL };
 }
 
-static size_t question_size(const size_t count[COUNTS], bool refine)
+static size_t question_size(const size_t count[COUNTS])
 {
-    return HEADER + OPTIONS + count[0] * VERTEX + count[1] * CORNERS +
-           count[2] * (size_t)(refine ? CORNERS + LIMIT : CORNERS);
+    return HEADER + OPTIONS + count[0] * VERTEX + (count[1] + count[2]) * CORNERS;
 }
 
 int gsn_mesh_question_pack(const struct gsn_mesh_question *question, uint8_t **ret_bytes,
                            size_t *ret_size, struct gsn_error *err)
 {
     const struct gsn_surface *surface = question->surface;
-    const struct gsn_soup *mesh = question->mesh;
-    const size_t count[COUNTS] = { mesh ? mesh->vertex_count : surface->vertex_count,
-                                   mesh ? 0 : surface->facet_count,
-                                   mesh ? mesh->tet_count : surface->inner_count };
-    const size_t size = question_size(count, mesh != NULL);
+    const size_t count[COUNTS] = { surface->vertex_count, surface->facet_count,
+                                   surface->inner_count };
+    const size_t size = question_size(count);
     struct cursor at;
-    uint8_t *bytes = begin_message(mesh ? KIND_REFINE : KIND_FILL, count, size, &at);
+    uint8_t *bytes = begin_message(KIND_FILL, count, size, &at);
 
     if (!bytes)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's question");
     put_double(&at, question->options.max_tet_um3);
     put_double(&at, question->options.radius_edge);
     put_double(&at, question->options.min_dihedral_deg);
-    put_vertices(&at, mesh ? mesh->vertex : surface->vertex, count[0]);
-    if (surface)
-        put_corners(&at, surface->facet, count[1] + count[2]);
-    if (mesh)
-        put_corners(&at, mesh->tet, count[2]);
-    for (size_t t = 0; mesh && t < count[2]; t++)
-        put_double(&at, question->max_um3[t]);
+    put_vertices(&at, surface->vertex, count[0]);
+    put_corners(&at, surface->facet, count[1] + count[2]);
     *ret_bytes = bytes;
     *ret_size = size;
     return GSN_OK;
@@ -324,39 +313,21 @@ static int get_surface(struct cursor *at, const size_t count[COUNTS],
     return GSN_OK;
 }
 
-static int get_mesh(struct cursor *at, const size_t count[COUNTS],
-                    struct gsn_mesh_question *question, struct gsn_error *err)
-{
-    const int r = gsn_soup_new(count[0], count[2], &question->mesh, err);
-
-    if (r < 0)
-        return r;
-    question->max_um3 = gsn_alloc_array(count[2], sizeof *question->max_um3);
-    if (!question->max_um3)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the mesher's question");
-    get_vertices(at, question->mesh->vertex, count[0]);
-    get_corners(at, question->mesh->tet, count[2]);
-    for (size_t t = 0; t < count[2]; t++)
-        question->max_um3[t] = get_double(at);
-    return GSN_OK;
-}
-
 int gsn_mesh_question_unpack(const uint8_t *bytes, size_t size,
                              struct gsn_mesh_question *ret_question, struct gsn_error *err)
 {
-    const bool refine = is_kind(bytes, size, KIND_REFINE);
     struct gsn_mesh_question question = { .surface = NULL };
     size_t count[COUNTS];
     struct cursor at;
     int r;
 
-    if ((!refine && !is_kind(bytes, size, KIND_FILL)) || !get_counts(bytes, &at, count) ||
-        (refine && count[1] != 0) || question_size(count, refine) != size)
+    if (!is_kind(bytes, size, KIND_FILL) || !get_counts(bytes, &at, count) ||
+        question_size(count) != size)
         return gsn_fail(err, GSN_E_INPUT, "%zu bytes that are no question for a mesher", size);
     question.options.max_tet_um3 = get_double(&at);
     question.options.radius_edge = get_double(&at);
     question.options.min_dihedral_deg = get_double(&at);
-    r = refine ? get_mesh(&at, count, &question, err) : get_surface(&at, count, &question, err);
+    r = get_surface(&at, count, &question, err);
     if (r < 0)
         gsn_mesh_question_done(&question);
     else

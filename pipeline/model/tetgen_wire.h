@@ -66,13 +66,10 @@ struct gsn_tetgen_options {
     double min_dihedral_deg; /* aimed at, not promised */
 };
 
-/* Either a surface to fill, or a mesh to refine until no tetrahedron in the place of t is larger
- * than max_um3[t] (0: no limit). Exactly one of surface and mesh is not NULL. */
+/* A surface to fill. */
 struct gsn_mesh_question {
     struct gsn_tetgen_options options;
     struct gsn_surface *surface;
-    struct gsn_soup *mesh;
-    double *max_um3;
 };
 
 void gsn_mesh_question_done(struct gsn_mesh_question *question);

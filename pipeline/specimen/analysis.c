@@ -140,10 +140,10 @@ static int fit_spline(const struct voxels *v, const struct gsn_grid *grid,
     const double carried = fmin(MOST_UNKNOWNS, (double)v->count / SAMPLES_PER_UNKNOWN);
     const struct gsn_wall_options walls = { .most_points =
                                                 (size_t)(carried / UNKNOWNS_PER_VERTEX) };
-    struct gsn_adapt_options adapt = { .domain = { .mesher = options->mesher,
-                                                   .cell_um = CELL_PER_TET_EDGE * edge_um,
-                                                   .max_tet_um3 = 1.5 * tet_um3 },
-                                       .fit = { .smoothing = GSN_FIT_SMOOTHING,
+    const struct gsn_domain_options domain = { .mesher = options->mesher,
+                                               .cell_um = CELL_PER_TET_EDGE * edge_um,
+                                               .max_tet_um3 = 1.5 * tet_um3 };
+    struct gsn_adapt_options adapt = { .fit = { .smoothing = GSN_FIT_SMOOTHING,
                                                 .fold = both_folds(v) ? v->fold : NULL,
                                                 .threads = options->threads,
                                                 .forgiving = 1, /* the report says so */
@@ -154,10 +154,8 @@ static int fit_spline(const struct voxels *v, const struct gsn_grid *grid,
                                        .most_unknowns = MOST_UNKNOWNS,
                                        .progress = options->progress };
     gsn_auto(gsn_tets) mesh = NULL;
-    int r = gsn_domain_follow(grid, region, &walls, &adapt.domain, &mesh, &analysis->domain, err);
+    int r = gsn_domain_follow(grid, region, &walls, &domain, &mesh, &analysis->domain, err);
 
-    adapt.domain.radius_edge = analysis->domain.radius_edge;
-    adapt.domain.dihedral_deg = analysis->domain.dihedral_deg;
     if (r >= 0)
         r = gsn_adapt(mesh, &samples, &adapt, &analysis->space, &analysis->spline, &analysis->fit,
                       err);

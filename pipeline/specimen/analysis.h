@@ -12,6 +12,7 @@
 #include "pipeline/measure/density.h"
 #include "pipeline/measure/level_set.h"
 #include "pipeline/measure/tissue_volume.h"
+#include "pipeline/model/domain.h"
 #include "pipeline/model/refine.h"
 #include "pipeline/specimen/protocol.h"
 #include "pipeline/stain/normalisation.h"

@@ -45,8 +45,7 @@ static uint8_t *folds(const struct gsn_samples *samples)
 
 static struct gsn_adapt_options options_with(unsigned rounds)
 {
-    return (struct gsn_adapt_options){ .domain = shape_options(40, 30000),
-                                       .fit = { .smoothing = GSN_FIT_SMOOTHING },
+    return (struct gsn_adapt_options){ .fit = { .smoothing = GSN_FIT_SMOOTHING },
                                        .tolerance = 0.01,
                                        .samples_per_unknown = 3,
                                        .samples_per_tet = 8,

@@ -65,33 +65,6 @@ TEST(an_open_surface_yields_no_mesh)
     CHECK(soup == NULL);
 }
 
-TEST(a_tetrahedron_is_refined_to_its_limit)
-{
-    static const double VERTEX[4][3] = { { 0, 0, 0 }, { 1, 0, 0 }, { 0, 1, 0 }, { 0, 0, 1 } };
-    gsn_auto(gsn_soup) one = NULL;
-    gsn_auto(gsn_soup) many = NULL;
-    gsn_auto(gsn_tets) mesh = NULL;
-    struct gsn_error err = { 0 };
-    double limit = 0.001;
-    struct gsn_mesh_question question = { .options = QUALITY, .max_um3 = &limit };
-
-    CHECK_OK(gsn_soup_new(4, 1, &one, &err), err);
-    memcpy(one->vertex, VERTEX, sizeof VERTEX);
-    memcpy(one->tet[0], (const uint32_t[4]){ 0, 1, 2, 3 }, sizeof one->tet[0]);
-    question.mesh = one;
-    CHECK_OK(gsn_tetgen_mesh(&question, &many, &err), err);
-    mesh = verified(many);
-    CHECK_NEAR(gsn_domain_volume(mesh), 1.0 / 6, 1e-12);
-    CHECK_NEAR(gsn_domain_area(mesh), 1.5 + sqrt(3) / 2, 1e-12);
-    for (size_t t = 0; t < mesh->tet_count; t++)
-        CHECK(gsn_tets_volume(mesh, t) <= limit * (1 + 1e-12));
-
-    one->tet[0][2] = 4;
-    gsn_soup_free(gsn_steal(&many));
-    CHECK(gsn_tetgen_mesh(&question, &many, &err) == GSN_E_INPUT);
-    CHECK(many == NULL);
-}
-
 TEST(options_out_of_range_are_refused)
 {
     static const struct gsn_tetgen_options WRONG[] = {

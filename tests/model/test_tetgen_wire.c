@@ -39,28 +39,10 @@ TEST(a_surface_question_survives_the_way)
 
     CHECK_OK(gsn_mesh_question_pack(&asked, &bytes, &size, &err), err);
     CHECK_OK(gsn_mesh_question_unpack(bytes, size, &heard, &err), err);
-    CHECK(heard.mesh == NULL && heard.surface != NULL);
+    CHECK(heard.surface != NULL);
     CHECK(memcmp(&heard.options, &asked.options, sizeof asked.options) == 0);
     CHECK(memcmp(heard.surface->vertex, cube->vertex, 8 * sizeof *cube->vertex) == 0);
     CHECK(memcmp(heard.surface->facet, cube->facet, 6 * sizeof *cube->facet) == 0);
-    gsn_mesh_question_done(&heard);
-}
-
-TEST(a_refinement_question_survives_the_way)
-{
-    gsn_auto(gsn_soup) soup = two_tets();
-    double limit[2] = { 0, 0.125 };
-    const struct gsn_mesh_question asked = { .mesh = soup, .max_um3 = limit };
-    struct gsn_mesh_question heard = { .surface = NULL };
-    gsn_auto_mem(uint8_t) bytes = NULL;
-    struct gsn_error err = { 0 };
-    size_t size = 0;
-
-    CHECK_OK(gsn_mesh_question_pack(&asked, &bytes, &size, &err), err);
-    CHECK_OK(gsn_mesh_question_unpack(bytes, size, &heard, &err), err);
-    CHECK(heard.surface == NULL);
-    check_same(heard.mesh, soup);
-    CHECK(memcmp(heard.max_um3, limit, sizeof limit) == 0);
     gsn_mesh_question_done(&heard);
 }
 
@@ -103,8 +85,8 @@ TEST(the_bytes_are_little_endian)
 TEST(damaged_messages_are_refused)
 {
     gsn_auto(gsn_soup) soup = two_tets();
-    double limit[2] = { 0, 0.125 };
-    const struct gsn_mesh_question asked = { .mesh = soup, .max_um3 = limit };
+    gsn_auto(gsn_surface) cube = shape_cube(3);
+    const struct gsn_mesh_question asked = { .surface = cube };
     struct gsn_mesh_question question = { .surface = NULL };
     gsn_auto(gsn_soup) answer = NULL;
     gsn_auto_mem(uint8_t) asked_bytes = NULL;
@@ -128,10 +110,11 @@ TEST(damaged_messages_are_refused)
     CHECK(gsn_mesh_answer_unpack(asked_bytes, asked_size, &answer, &err) == GSN_E_MESH);
     memset(asked_bytes + 8, 0xFF, 24); /* counts whose sizes overflow */
     CHECK(gsn_mesh_question_unpack(asked_bytes, asked_size, &question, &err) == GSN_E_INPUT);
-    CHECK(question.mesh == NULL && question.surface == NULL && answer == NULL);
+    CHECK(question.surface == NULL && answer == NULL);
 }
 
-static int way_once(const struct gsn_mesh_question *asked, struct gsn_error *err)
+static int way_once(const struct gsn_mesh_question *asked, const struct gsn_soup *mesh,
+                    struct gsn_error *err)
 {
     struct gsn_mesh_question heard = { .surface = NULL };
     gsn_auto_mem(uint8_t) bytes = NULL;
@@ -143,7 +126,7 @@ static int way_once(const struct gsn_mesh_question *asked, struct gsn_error *err
     if (r >= 0)
         r = gsn_mesh_question_unpack(bytes, size, &heard, err);
     if (r >= 0)
-        r = gsn_mesh_answer_pack(heard.mesh, &answer, &size, err);
+        r = gsn_mesh_answer_pack(mesh, &answer, &size, err);
     if (r >= 0)
         r = gsn_mesh_answer_unpack(answer, size, &soup, err);
     gsn_mesh_question_done(&heard);
@@ -153,9 +136,9 @@ static int way_once(const struct gsn_mesh_question *asked, struct gsn_error *err
 TEST(running_out_of_memory_leaks_nothing)
 {
     gsn_auto(gsn_soup) soup = two_tets();
-    double limit[2] = { 0, 0.125 };
-    const struct gsn_mesh_question asked = { .mesh = soup, .max_um3 = limit };
+    gsn_auto(gsn_surface) cube = shape_cube(3);
+    const struct gsn_mesh_question asked = { .surface = cube };
     struct gsn_error err = { 0 };
 
-    CHECK_EVERY_OOM(way_once(&asked, &err), err);
+    CHECK_EVERY_OOM(way_once(&asked, soup, &err), err);
 }

@@ -58,45 +58,56 @@ static int fail_memory(struct gsn_error *err)
     return gsn_fail(err, GSN_E_NOMEM, "out of memory while refining a mesh");
 }
 
-/* Makes room for so many items; the old array stays where there is none. */
-static int resize(void *array, size_t count, size_t size)
+/* Arrays grow one after the other: what has grown is kept, and freed at the end, where the next
+ * finds no memory. */
+static int grow_vertices(struct growing *g, size_t room, struct gsn_error *err)
 {
-    void *old, *bigger;
+    double(*vertex)[3] = gsn_realloc_array(g->soup->vertex, room, sizeof *vertex);
+    uint32_t *head;
 
-    memcpy(&old, array, sizeof old);
-    bigger = gsn_realloc_array(old, count, size);
-    if (!bigger)
-        return 0;
-    memcpy(array, &bigger, sizeof bigger);
-    return 1;
-}
-
-static int need_vertex(struct growing *g, struct gsn_error *err)
-{
-    const size_t room = 2 * g->vertex_room;
-
-    if (g->soup->vertex_count < g->vertex_room)
-        return GSN_OK;
-    if (!resize(&g->soup->vertex, room, sizeof *g->soup->vertex) ||
-        !resize(&g->head, room, sizeof *g->head))
+    if (!vertex)
         return fail_memory(err);
+    g->soup->vertex = vertex;
+    head = gsn_realloc_array(g->head, room, sizeof *head);
+    if (!head)
+        return fail_memory(err);
+    g->head = head;
     g->vertex_room = room;
     return GSN_OK;
 }
 
-static int need_tets(struct growing *g, size_t more, struct gsn_error *err)
+static int grow_tets(struct growing *g, size_t room, struct gsn_error *err)
 {
-    const size_t count = g->soup->tet_count + more, room = 2 * g->tet_room + more;
+    uint32_t(*tet)[4] = gsn_realloc_array(g->soup->tet, room, sizeof *tet);
+    double *limit;
+    uint32_t *next;
 
-    if (count <= g->tet_room)
-        return GSN_OK;
-    if (count > MOST_TETS)
-        return gsn_fail(err, GSN_E_LIMIT, "a refinement of more than %d tetrahedra", MOST_TETS);
-    if (!resize(&g->soup->tet, room, sizeof *g->soup->tet) ||
-        !resize(&g->limit, room, sizeof *g->limit) || !resize(&g->next, 4 * room, sizeof *g->next))
+    if (!tet)
         return fail_memory(err);
+    g->soup->tet = tet;
+    limit = gsn_realloc_array(g->limit, room, sizeof *limit);
+    if (!limit)
+        return fail_memory(err);
+    g->limit = limit;
+    next = gsn_realloc_array(g->next, 4 * room, sizeof *next);
+    if (!next)
+        return fail_memory(err);
+    g->next = next;
     g->tet_room = room;
     return GSN_OK;
+}
+
+/* Room for one more vertex and for so many more tetrahedra. */
+static int need_room(struct growing *g, size_t more, struct gsn_error *err)
+{
+    const size_t tets = g->soup->tet_count + more;
+    int r = GSN_OK;
+
+    if (tets > MOST_TETS)
+        return gsn_fail(err, GSN_E_LIMIT, "a refinement of more than %d tetrahedra", MOST_TETS);
+    if (g->soup->vertex_count == g->vertex_room)
+        r = grow_vertices(g, 2 * g->vertex_room, err);
+    return r < 0 || tets <= g->tet_room ? r : grow_tets(g, 2 * tets, err);
 }
 
 /* --- lists --- */
@@ -204,10 +215,8 @@ static int split_edge(struct growing *g, const struct edge *edge, size_t around,
 {
     const uint32_t middle = (uint32_t)g->soup->vertex_count;
     uint32_t node, next;
-    int r = need_vertex(g, err);
+    const int r = need_room(g, around, err);
 
-    if (r >= 0)
-        r = need_tets(g, around, err);
     if (r < 0)
         return r;
     for (unsigned k = 0; k < 3; k++)
@@ -224,19 +233,12 @@ static int split_edge(struct growing *g, const struct edge *edge, size_t around,
     return GSN_OK;
 }
 
+/* Halves keep the orientation of the whole. */
 static double volume_of(const struct growing *g, uint32_t tet)
 {
-    const uint32_t *v = g->soup->tet[tet];
-    const double *o = g->soup->vertex[v[0]];
-    double e[3][3];
+    const struct gsn_tets mesh = { .vertex = g->soup->vertex, .tet = g->soup->tet };
 
-    for (unsigned c = 0; c < 3; c++)
-        for (unsigned k = 0; k < 3; k++)
-            e[c][k] = g->soup->vertex[v[c + 1]][k] - o[k];
-    return fabs(e[0][0] * (e[1][1] * e[2][2] - e[1][2] * e[2][1]) +
-                e[0][1] * (e[1][2] * e[2][0] - e[1][0] * e[2][2]) +
-                e[0][2] * (e[1][0] * e[2][1] - e[1][1] * e[2][0])) /
-           6;
+    return gsn_tets_volume(&mesh, tet);
 }
 
 static int bisect_all(struct growing *g, struct gsn_error *err)

@@ -16,6 +16,9 @@
  *    there is nothing: nobody drew there.
  *
  * All that is wrong fails with GSN_E_INPUT: nothing that was drawn is left out without a word.
+ * Rings are filled here and not by cv::fillPoly, which sets the pixels that an outline touches too:
+ * half a pixel more all around.
+ *
  * Costs two distance transforms a drawn plane, and a pass over a ring's points for each of its
  * rows. */
 #include "pipeline/specimen/drawn_region.h"

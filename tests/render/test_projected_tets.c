@@ -3,73 +3,22 @@
 
 #include <string.h>
 
-#include "tests/check.h"
-#include "tests/measure/kuhn.h"
-
-static const double low[3] = { 0.0, 0.0, 0.0 }, high[3] = { 1200.0, 900.0, 600.0 };
-static const unsigned cells[3] = { 4, 3, 3 };
-static const struct quadric one = { 1.0, { 0.0, 0.0, 0.0 }, { 0.0, 0.0, 0.0 } };
-static const struct quadric linear = { 0.2, { 1e-4, -2e-4, 3e-4 }, { 0.0, 0.0, 0.0 } };
+#include "tests/render/box_scene.h"
 
 /* Floats: of the longest way through the box, 1616 um, times a density of at most 1. */
 #define ROUNDING 2e-3
-
-static struct gsn_view oblique(uint32_t width, uint32_t height)
-{
-    return (struct gsn_view){ .direction = { 0.31, 0.42, 0.85 },
-                              .up = { 0.05, -1.0, 0.1 },
-                              .width = width,
-                              .height = height };
-}
-
-static struct gsn_ray_style plain(double from, double to, double opaque_um)
-{
-    return (struct gsn_ray_style){ .low = from,
-                                   .high = to,
-                                   .opaque_um = opaque_um,
-                                   .map = GSN_MAP_VIRIDIS,
-                                   .level = NAN,
-                                   .across = 1 };
-}
-
-static struct gsn_camera frame(const struct kuhn *kuhn, const struct gsn_view *view)
-{
-    struct gsn_camera camera;
-    struct gsn_error err = { 0 };
-
-    CHECK_OK(gsn_camera_frame(view, kuhn->mesh, &camera, &err), err);
-    return camera;
-}
 
 /* The integral of a linear field over what is left of a box of the line of a pixel; NaN where
  * nothing is, and where the line comes so near to an edge that rounding decides. */
 static double chord_integral(const struct gsn_camera *camera, uint32_t x, uint32_t y,
                              const struct quadric *q, const double from[3], const double to[3])
 {
-    double start[3], into[3], length = 0, in = -INFINITY, out = INFINITY, middle[3];
+    double start[3], into[3], middle[3], in, out;
+    const double eye = line_of(camera, x + 0.5, y + 0.5, start, into);
 
-    gsn_ray_start(camera, x + 0.5, y + 0.5, start);
-    for (int c = 0; c < 3; c++) {
-        into[c] = camera->eye_um > 0 ? start[c] - camera->centre[c] +
-                                           camera->eye_um * camera->into[c]
-                                     : camera->into[c];
-        length += into[c] * into[c];
-    }
-    length = sqrt(length);
-    if (camera->eye_um > 0)
-        in = -length;
-    for (int c = 0; c < 3; c++) {
-        into[c] /= length;
-        if (fabs(into[c]) < 1e-12) {
-            if (start[c] < from[c] || start[c] > to[c])
-                return NAN;
-            continue;
-        }
-        in = fmax(in, fmin((from[c] - start[c]) / into[c], (to[c] - start[c]) / into[c]));
-        out = fmin(out, fmax((from[c] - start[c]) / into[c], (to[c] - start[c]) / into[c]));
-    }
-    if (!(out > in))
+    if (!chord(from, to, start, into, &in, &out) || !(out > fmax(in, -eye)))
         return NAN;
+    in = fmax(in, -eye);
     for (int c = 0; c < 3; c++)
         middle[c] = start[c] + (in + out) / 2 * into[c];
     return (out - in) * quadric_at(q, middle);
@@ -118,13 +67,13 @@ TEST(seen_from_an_eye_it_is_that_of_the_chords_too)
     check_xray(&linear, 1, &view, NULL, low, high);
 }
 
-/* Of density 1 the X-ray is the way through the box. A pixel that two cells count, or none, is off by
- * what the ray has in one. Along the axes and the diagonals of the cubes faces are edge on, and
+/* Of density 1 the X-ray is the way through the box. A pixel that two cells count, or none, is off
+ * by what the ray has in one. Along the axes and the diagonals of the cubes faces are edge on, and
  * pixels line up with them. */
 TEST(cells_leave_no_pixel_out_and_count_none_twice)
 {
-    static const double direction[6][3] = { { 0, 0, 1 },      { 1, 0, 0 },    { 0, 1, 0 },
-                                            { 1, 1, 0 },      { 3, 3, 2 },    { 1, 1e-7, 1e-9 } };
+    static const double direction[6][3] = { { 0, 0, 1 }, { 1, 0, 0 }, { 0, 1, 0 },
+                                            { 1, 1, 0 }, { 3, 3, 2 }, { 1, 1e-7, 1e-9 } };
 
     for (size_t d = 0; d < 6; d++) {
         for (int eye = 0; eye < 2; eye++) {
@@ -153,9 +102,9 @@ TEST(a_flat_tetrahedron_seen_edge_on_is_as_long_as_it_is)
     struct gsn_error err = { 0 };
     struct kuhn kuhn;
 
-    CHECK_OK(kuhn_sharp(thin_low, thin_high, (const unsigned[3]){ 1, 1, 1 }, 1, 0.05, &one, &kuhn,
-                        &err),
-             err);
+    CHECK_OK(
+        kuhn_sharp(thin_low, thin_high, (const unsigned[3]){ 1, 1, 1 }, 1, 0.05, &one, &kuhn, &err),
+        err);
     camera = frame(&kuhn, &view);
     CHECK_OK(gsn_projected_xray(kuhn.spline, &camera, NULL, &style, 1, NULL, &plane, &err), err);
     for (uint32_t j = 0; j < 11; j++) {
@@ -181,8 +130,8 @@ TEST(a_box_and_planes_cut_exactly_where_they_are)
     check_xray(&linear, 2, &view, &clip, left_low, left_high);
 }
 
-/* The camera frames a small box, and the eye stands in the mesh: cells reach behind it, and one holds
- * it. */
+/* The camera frames a small box, and the eye stands in the mesh: cells reach behind it, and one
+ * holds it. */
 TEST(an_eye_inside_the_mesh_sees_what_is_before_it)
 {
     static const double direction[6][3] = { { 0.31, 0.42, 0.85 }, { -0.31, -0.42, -0.85 },
@@ -230,7 +179,8 @@ TEST(an_eye_inside_the_mesh_sees_what_is_before_it)
     kuhn_done(&kuhn);
 }
 
-/* The region of the test of the same name of rays: 70 slabs, 70 stretches a ray, which rays find. */
+/* The region of the test of the same name of rays: 70 slabs, 70 stretches a ray, which rays find.
+ */
 TEST(a_region_is_cut_out_of_cells_as_it_is_of_rays)
 {
     enum { SLABS = 70, ACROSS = 12 };
@@ -292,11 +242,10 @@ TEST(opacity_of_a_linear_field_is_exact_and_colours_are_near)
             double square = 0, met = 0;
 
             style.shading = shaded ? 0.6 : 0;
-            CHECK_OK(gsn_projected_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture,
-                                          &err),
-                     err);
-            CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &rays, &err),
-                     err);
+            CHECK_OK(
+                gsn_projected_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err),
+                err);
+            CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &rays, &err), err);
             for (size_t i = 0; i < (size_t)view.width * view.height; i++) {
                 CHECK_NEAR((double)picture->rgba[i][3], (double)rays->rgba[i][3], 1e-5);
                 for (int c = 0; c < 3; c++) {
@@ -313,9 +262,9 @@ TEST(opacity_of_a_linear_field_is_exact_and_colours_are_near)
     kuhn_done(&kuhn);
 }
 
-/* The field rises along x from nothing to all; what is dense hides what is behind, from either side.
- * Cells are 20 um thick and 900 um long: across them their middles say nothing of who is before whom,
- * and the pixels' own order alone is right. */
+/* The field rises along x from nothing to all; what is dense hides what is behind, from either
+ * side. Cells are 20 um thick and 900 um long: across them their middles say nothing of who is
+ * before whom, and the pixels' own order alone is right. */
 TEST(what_is_before_hides_what_is_behind)
 {
     const struct quadric slope = { 0, { 1.0 / 1200, 0, 0 }, { 0, 0, 0 } };
@@ -365,9 +314,9 @@ TEST(a_cell_weighs_what_it_weighs_in_the_model)
         struct kuhn kuhn;
         double sum = 0, truth = 0;
 
-        CHECK_OK(kuhn_sharp(low, high, (const unsigned[3]){ 2, 2, 2 }, degree, 0.05, &bent, &kuhn,
-                            &err),
-                 err);
+        CHECK_OK(
+            kuhn_sharp(low, high, (const unsigned[3]){ 2, 2, 2 }, degree, 0.05, &bent, &kuhn, &err),
+            err);
         camera = frame(&kuhn, &view);
         CHECK_OK(gsn_projected_xray(kuhn.spline, &camera, NULL, &style, 0, NULL, &plane, &err),
                  err);
@@ -436,9 +385,9 @@ static int once(const struct kuhn *kuhn, struct gsn_error *err)
     const struct gsn_camera camera = frame(kuhn, &view);
     const int r = gsn_projected_xray(kuhn->spline, &camera, NULL, &style, 1, NULL, &plane, err);
 
-    return r < 0 ? r
-                 : gsn_projected_volume(kuhn->spline, &camera, NULL, &style, 1, NULL, &picture,
-                                        err);
+    return r < 0
+               ? r
+               : gsn_projected_volume(kuhn->spline, &camera, NULL, &style, 1, NULL, &picture, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

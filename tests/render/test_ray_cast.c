@@ -4,79 +4,9 @@
 #include <string.h>
 
 #include "pipeline/model/pieces.h"
-#include "tests/check.h"
-#include "tests/measure/kuhn.h"
+#include "tests/render/box_scene.h"
 
-static const double low[3] = { 0.0, 0.0, 0.0 }, high[3] = { 1200.0, 900.0, 600.0 };
-static const unsigned cells[3] = { 4, 3, 3 };
-static const struct quadric one = { 1.0, { 0.0, 0.0, 0.0 }, { 0.0, 0.0, 0.0 } };
-static const struct quadric linear = { 0.2, { 1e-4, -2e-4, 3e-4 }, { 0.0, 0.0, 0.0 } };
 static const struct quadric quadratic = { 0.2, { 1e-4, -2e-4, 3e-4 }, { 2e-7, -1e-7, 4e-7 } };
-
-static struct gsn_view oblique(uint32_t width, uint32_t height)
-{
-    return (struct gsn_view){ .direction = { 0.31, 0.42, 0.85 },
-                              .up = { 0.05, -1.0, 0.1 },
-                              .width = width,
-                              .height = height };
-}
-
-static struct gsn_ray_style plain(double from, double to, double opaque_um)
-{
-    return (struct gsn_ray_style){ .low = from,
-                                   .high = to,
-                                   .opaque_um = opaque_um,
-                                   .map = GSN_MAP_VIRIDIS,
-                                   .level = NAN,
-                                   .across = 1 };
-}
-
-static struct gsn_camera frame(const struct kuhn *kuhn, const struct gsn_view *view)
-{
-    struct gsn_camera camera;
-    struct gsn_error err = { 0 };
-
-    CHECK_OK(gsn_camera_frame(view, kuhn->mesh, &camera, &err), err);
-    return camera;
-}
-
-/* The line of a pixel, start in the plane of the picture. */
-static void line_of(const struct gsn_camera *camera, double x, double y, double start[3],
-                    double into[3])
-{
-    double length;
-
-    gsn_ray_start(camera, x, y, start);
-    for (int c = 0; c < 3; c++)
-        into[c] = camera->eye_um > 0 ? start[c] - camera->centre[c] +
-                                           camera->eye_um * camera->into[c]
-                                     : camera->into[c];
-    length = sqrt(into[0] * into[0] + into[1] * into[1] + into[2] * into[2]);
-    for (int c = 0; c < 3; c++)
-        into[c] /= length;
-}
-
-/* Where the line start + t into crosses a box; 0 when it passes by. */
-static int chord(const double from[3], const double to[3], const double start[3],
-                 const double into[3], double *ret_from, double *ret_to)
-{
-    *ret_from = -INFINITY;
-    *ret_to = INFINITY;
-    for (int a = 0; a < 3; a++) {
-        double t0, t1;
-
-        if (fabs(into[a]) < 1e-12) {
-            if (start[a] < from[a] || start[a] > to[a])
-                return 0;
-            continue;
-        }
-        t0 = (from[a] - start[a]) / into[a];
-        t1 = (to[a] - start[a]) / into[a];
-        *ret_from = fmax(*ret_from, fmin(t0, t1));
-        *ret_to = fmin(*ret_to, fmax(t0, t1));
-    }
-    return *ret_from < *ret_to;
-}
 
 static double quadric_on(const struct quadric *q, const double start[3], const double into[3],
                          double t)
@@ -114,7 +44,7 @@ static void check_xray(const struct quadric *q, unsigned degree, const struct gs
             const double value = (double)plane->value[j * view->width + i];
             double start[3], into[3], in, out;
 
-            line_of(&camera, i + 0.5, j + 0.5, start, into);
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
             if (chord(from, to, start, into, &in, &out)) {
                 const double truth = integral(q, start, into, in, out);
 
@@ -199,7 +129,7 @@ TEST(an_eye_inside_the_mesh_sees_what_is_before_it)
             const double value = (double)plane->value[j * view.width + i];
             double start[3], into[3], in, out;
 
-            line_of(&camera, i + 0.5, j + 0.5, start, into);
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
             if (!chord(from, to, start, into, &in, &out))
                 continue;
             CHECK_NEAR(isnan(value) ? 0 : value, integral(&quadratic, start, into, in, out), 1e-4);
@@ -242,9 +172,8 @@ TEST(the_pieces_of_a_line_add_up_to_the_segment_integral)
 
                 gsn_tet_line_init(kuhn.spline, t, &tet);
                 if (gsn_tet_line_piece(&tet, end[s][0], into, 0, length, 0, piece))
-                    sum += (piece->to - piece->from) *
-                           (piece->value[0] + piece->value[1] / 2 + piece->value[2] / 3 +
-                            piece->value[3] / 4);
+                    sum += (piece->to - piece->from) * (piece->value[0] + piece->value[1] / 2 +
+                                                        piece->value[2] / 3 + piece->value[3] / 4);
                 for (unsigned k = 0; k < 4; k++) {
                     size_t count;
 
@@ -253,8 +182,8 @@ TEST(the_pieces_of_a_line_add_up_to_the_segment_integral)
                     count = gsn_face_line_pieces(face, end[s][0], into, 0, length, 0, piece);
                     for (size_t i = 0; i < count; i++)
                         sum += (piece[i].to - piece[i].from) *
-                               (piece[i].value[0] + piece[i].value[1] / 2 +
-                                piece[i].value[2] / 3 + piece[i].value[3] / 4);
+                               (piece[i].value[0] + piece[i].value[1] / 2 + piece[i].value[2] / 3 +
+                                piece[i].value[3] / 4);
                 }
             }
             CHECK_OK(gsn_spline_segment(kuhn.spline, end[s][0], end[s][1], &truth, &err), err);
@@ -284,7 +213,7 @@ TEST(the_x_ray_of_a_random_spline_is_that_of_the_recurrence_along_segments)
             for (uint32_t i = 0; i < view.width; i++) {
                 double start[3], into[3], end[2][3], in, out, truth;
 
-                line_of(&camera, i + 0.5, j + 0.5, start, into);
+                (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
                 if (!chord(low, high, start, into, &in, &out))
                     continue;
                 for (int c = 0; c < 3; c++) {
@@ -316,13 +245,12 @@ TEST(absorption_by_a_polynomial_field_has_its_closed_form)
 
     CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &quadratic, &kuhn, &err), err);
     camera = frame(&kuhn, &view);
-    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err),
-             err);
+    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err), err);
     for (uint32_t j = 0; j < view.height; j++) {
         for (uint32_t i = 0; i < view.width; i++) {
             double start[3], into[3], in, out, truth = 0, off;
 
-            line_of(&camera, i + 0.5, j + 0.5, start, into);
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
             /* The field is between 0 and 1 in all of the box but a corner of it. */
             if (chord(low, high, start, into, &in, &out) &&
                 quadric_on(&quadratic, start, into, in) > 0 &&
@@ -355,8 +283,8 @@ static void step_light(const struct quadric *q, const struct gsn_ray_style *styl
     memset(ret_light, 0, 3 * sizeof *ret_light);
     for (int i = 0; i < STEPS; i++) {
         const double step = (to - from) / STEPS, t = from + (i + 0.5) * step;
-        const double share = fmin(1, fmax(0, (quadric_on(q, start, into, t) - style->low) /
-                                                 (style->high - style->low)));
+        const double share = fmin(
+            1, fmax(0, (quadric_on(q, start, into, t) - style->low) / (style->high - style->low)));
         const double here = share * step / style->opaque_um, at = fmin(15.999999, share * 16);
         const struct gsn_colour a = knot[(int)at], b = knot[(int)at + 1];
         const double part = at - floor(at), weight = exp(-depth) * -expm1(-here);
@@ -382,13 +310,12 @@ TEST(colours_are_within_the_stated_tolerance_of_many_small_steps)
     view.eye_distance = 3;
     CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &quadratic, &kuhn, &err), err);
     camera = frame(&kuhn, &view);
-    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err),
-             err);
+    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err), err);
     for (uint32_t j = 0; j < view.height; j++) {
         for (uint32_t i = 0; i < view.width; i++) {
             double start[3], into[3], in, out, light[3];
 
-            line_of(&camera, i + 0.5, j + 0.5, start, into);
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
             if (!chord(low, high, start, into, &in, &out))
                 continue;
             step_light(&quadratic, &style, start, into, in, out, light);
@@ -414,14 +341,13 @@ TEST(one_density_glows_in_one_colour_by_one_minus_exp)
 
     CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &one, &kuhn, &err), err);
     camera = frame(&kuhn, &view);
-    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err),
-             err);
+    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err), err);
     for (uint32_t j = 0; j < view.height; j++) {
         for (uint32_t i = 0; i < view.width; i++) {
             const float *p = picture->rgba[j * view.width + i];
             double start[3], into[3], in, out, truth = 0;
 
-            line_of(&camera, i + 0.5, j + 0.5, start, into);
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
             if (chord(low, high, start, into, &in, &out))
                 truth = -expm1(-0.5 * (out - in) / style.opaque_um);
             CHECK_NEAR((double)p[3], truth, 1e-6);
@@ -443,10 +369,9 @@ TEST(shading_darkens_what_is_seen_edge_on_and_nothing_else)
 
     CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &slope, &kuhn, &err), err);
     for (int axis = 0; axis < 2; axis++) {
-        const struct gsn_view view = { .direction = { axis == 0, axis == 1, 0 },
-                                       .up = { 0, 0, -1 },
-                                       .width = 9,
-                                       .height = 9 };
+        const struct gsn_view view = {
+            .direction = { axis == 0, axis == 1, 0 }, .up = { 0, 0, -1 }, .width = 9, .height = 9
+        };
         float light[2];
 
         for (int shaded = 0; shaded < 2; shaded++) {
@@ -521,15 +446,14 @@ TEST(a_region_bounds_what_is_seen)
     {
         const struct gsn_ray_clip clip = { .border = border, .border_step_um = 20 };
 
-        CHECK_OK(gsn_ray_xray(kuhn.spline, &camera, &clip, &style, 0, NULL, &plane, &err),
-                 err);
+        CHECK_OK(gsn_ray_xray(kuhn.spline, &camera, &clip, &style, 0, NULL, &plane, &err), err);
     }
     for (uint32_t j = 0; j < view.height; j++) {
         for (uint32_t i = 0; i < view.width; i++) {
             const double value = (double)plane->value[j * view.width + i];
             double start[3], into[3], in, out;
 
-            line_of(&camera, i + 0.5, j + 0.5, start, into);
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
             sum += isnan(value) ? 0 : value;
             truth += chord(corner, end, start, into, &in, &out) ? out - in : 0;
         }
@@ -590,13 +514,10 @@ TEST(several_rays_a_pixel_average)
 
     CHECK_OK(kuhn_random(low, high, cells, 2, 0.05, 17, &kuhn, &err), err);
     camera = frame(&kuhn, &fine);
-    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture[0], &err),
-             err);
+    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture[0], &err), err);
     style.across = 2;
     camera = frame(&kuhn, &coarse);
-    CHECK_OK(
-        gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture[1], &err),
-        err);
+    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture[1], &err), err);
     for (uint32_t j = 0; j < 15; j++) {
         for (uint32_t i = 0; i < 20; i++) {
             float mean = 0;

@@ -8,32 +8,42 @@
  * which are mixed into the picture. Edges are grey, hinted along the vertical alone, whatever the
  * screen of this machine would like.
  *
- * Failure: GSN_E_NOTFOUND where a font is missing; GSN_E_NOMEM as far as cairo says so (glib ends
- * the process itself).
+ * Failure: GSN_E_NOTFOUND where a font is missing, GSN_E_INPUT where it is damaged, what a read says
+ * where it cannot be read; GSN_E_NOMEM as far as cairo says so (glib ends the process itself).
  * Cost: a lettering reads two files of 0.7 MB; a line of text its box. */
 #include "pipeline/render/lettering.h"
 
 #include <fontconfig/fontconfig.h>
 #include <pango/pangofc-fontmap.h>
 
+#include "pipeline/core/file.h"
 #include "pipeline/render/canvas.h"
 #include "pipeline/render/lettering_internal.h"
+
+enum { MOST_BYTES = 16 << 20 }; /* of a font */
 
 struct gsn_lettering {
     PangoFontMap *map;
     PangoContext *context;
 };
 
+/* fontconfig does not say why it takes no file: reading it does. */
 static int add_font(FcConfig *fonts, const char *folder, const char *name, struct gsn_error *err)
 {
     gsn_auto_mem(char) path = gsn_format("%s/%s", folder, name);
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    size_t size = 0;
 
     if (!path)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the name of a font");
+    if (FcConfigAppFontAddFile(fonts, (const FcChar8 *)path))
+        return GSN_OK;
+    if (gsn_file_read(path, MOST_BYTES, &bytes, &size, err))
+        return gsn_fail_at(err, "pictures are lettered with a font of the package fonts-dejavu-core");
     if (!FcConfigAppFontAddFile(fonts, (const FcChar8 *)path))
-        return gsn_fail(err, GSN_E_NOTFOUND,
-                        "the font %s is missing or damaged, and pictures are lettered with it: "
-                        "install the package fonts-dejavu-core",
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the font %s is damaged, and pictures are lettered with it: install the "
+                        "package fonts-dejavu-core again",
                         path);
     return GSN_OK;
 }

@@ -27,8 +27,8 @@ struct gsn_lettering;
 /* Where Debian's package fonts-dejavu-core lays the fonts. */
 #define GSN_FONT_FOLDER "/usr/share/fonts/truetype/dejavu"
 
-/* gives: the faces of DejaVu Sans in that folder. Fails with GSN_E_NOTFOUND, naming the package,
- * where one is missing, or with GSN_E_NOMEM. */
+/* gives: the faces of DejaVu Sans in that folder. Fails, naming the package, with GSN_E_NOTFOUND
+ * where one is missing, GSN_E_INPUT where it is damaged, GSN_E_IO; or with GSN_E_NOMEM. */
 int gsn_lettering_new(const char *folder, struct gsn_lettering **ret_lettering,
                       struct gsn_error *err);
 void gsn_lettering_free(struct gsn_lettering *lettering);

@@ -140,7 +140,8 @@ TEST(without_the_font_the_package_is_named_and_nothing_is_given)
     (void)snprintf(path, sizeof path, "%s/DejaVuSans.ttf", folder);
     file = fopen(path, "w");
     CHECK(file && fputs("no font", file) >= 0 && fclose(file) == 0);
-    CHECK(gsn_lettering_new(folder, &letters, &err) == GSN_E_NOTFOUND);
+    CHECK(gsn_lettering_new(folder, &letters, &err) == GSN_E_INPUT);
+    CHECK(strstr(err.text, "is damaged") && strstr(err.text, "fonts-dejavu-core again"));
     CHECK(letters == NULL);
     CHECK(unlink(path) == 0 && rmdir(folder) == 0);
 }

@@ -33,8 +33,9 @@
 
 /* Whose process ids they are. */
 struct lease_home {
-    char boot[40];      /* of the kernel; empty: unknown, and then nothing is ever known dead */
-    char processes[40]; /* the process-id namespace */
+    char boot[GSN_QUEUE_BOOT_SIZE]; /* of the kernel; empty: unknown, and then nothing is ever known
+                                       dead */
+    char processes[40];             /* the process-id namespace */
 };
 
 /* What a job is like before anybody claims it. claim and owner stay: they are its history. */
@@ -90,14 +91,19 @@ static void read_proc(const char *path, char *text, size_t size)
     text[got > 0 ? got : 0] = '\0';
 }
 
+void gsn_queue_boot(char ret_boot[GSN_QUEUE_BOOT_SIZE])
+{
+    read_proc("/proc/sys/kernel/random/boot_id", ret_boot, GSN_QUEUE_BOOT_SIZE);
+    ret_boot[strcspn(ret_boot, "\n")] = '\0';
+}
+
 /* Of the calling process. */
 static struct lease_home lease_home(void)
 {
     struct lease_home home = { "", "" };
     const ssize_t length = readlink("/proc/self/ns/pid", home.processes, sizeof home.processes - 1);
 
-    read_proc("/proc/sys/kernel/random/boot_id", home.boot, sizeof home.boot);
-    home.boot[strcspn(home.boot, "\n")] = '\0';
+    gsn_queue_boot(home.boot);
     if (length <= 0)
         home.boot[0] = '\0';
     return home;

@@ -73,6 +73,13 @@ int gsn_queue_add_first(struct gsn_store *store, int64_t specimen_id, struct gsn
  * sets, so that a wrong date put right takes no job from its worker. */
 int64_t gsn_queue_clock(void);
 
+/* Which start of which machine this is, as the kernel names it; empty where it does not say. A
+ * store is worked on by one machine: other processes on it can be seen, and SQLite's WAL lies in
+ * its memory. */
+enum { GSN_QUEUE_BOOT_SIZE = 40 };
+
+void gsn_queue_boot(char ret_boot[GSN_QUEUE_BOOT_SIZE]);
+
 /* gives: the job to do next, now running under the lease of owner (words for people) and pid.
  *
  * First takes back what dead owners left: leases that ran out, and leases of processes that are

@@ -3,16 +3,24 @@
 /* The verb `night`: every specimen that changed since its last report is computed, and the morning
  * finds what came of it.
  *
- * Steps. 1. What changed is asked for, and the queue is worked until it is empty. 2. The store
- * before is held against the store after: a line for each specimen that was computed. 3. The pages
- * of all studies and of the store are made again; $GIESON_PUBLISH names a folder that gets a copy.
- * 4. STORE/night.txt, one paragraph: how many, what is withheld or failed and why, and what a person
- * does next. It is what gieson-notify@.service hands on. It says no loss: a study may be blind.
+ * Steps. 1. What changed is asked for, and the queue is worked until it is empty. 2. What was to be
+ * done then is held against the store after: a line for each specimen that was computed. 3. The
+ * pages of all studies and of the store are made again; $GIESON_PUBLISH names a folder that gets a
+ * copy.
+ * 4. STORE/night.txt, one paragraph: how many, what is withheld or failed and why, and what a
+ * person does next. It is what gieson-notify@.service hands on. It says no loss: a study may be
+ * blind.
+ *
+ * With --slurm the first step ends when all is asked for, and Slurm starts the rest (slurm.c):
+ * tasks that share the queue (`night --share`), and after them steps 1 to 4 once more, for what
+ * they left
+ * (`night --rest`). Both are told how it began, and refuse to run on another machine.
  *
  * Failure: 65 where a specimen that was computed has no result, the pages being made all the same;
  * any other status is that of the step that failed, and the paragraph says that it did. */
 
 #include <stdio.h>
+#include <limits.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sysexits.h>
@@ -20,11 +28,16 @@
 
 #include "pipeline/core/file.h"
 #include "storage/advice.h"
+#include "storage/queue.h"
+#include "ui/slurm.h"
 #include "ui/snapshot.h"
 #include "ui/text.h"
 #include "ui/ui.h"
 
 enum { MOST_NAMED = 10 };
+
+/* How a night goes: here, or by Slurm, or as a part of one by Slurm. */
+enum way { HERE, SLURM, SHARE, REST };
 
 /* What came of it. */
 struct night {
@@ -41,20 +54,74 @@ static void night_done(struct night *night)
     gsn_free(night->named);
 }
 
-static const struct gsn_snapshot_row *find_row(const struct gsn_snapshot *snapshot, int64_t id)
+/* ---- how it began ---------------------------------------------------------------------------- */
+
+/* gives: the machine, the last run and specimen, and the specimens that have work to do. NULL when
+ * memory runs out. */
+static json_t *note_beginning(const struct gsn_snapshot *snapshot)
 {
-    for (size_t i = 0; i < snapshot->count; i++)
-        if (snapshot->at[i].id == id)
-            return &snapshot->at[i];
+    char boot[GSN_QUEUE_BOOT_SIZE];
+    json_t *open = json_array();
+    int64_t run = 0, specimen = 0;
+
+    for (size_t i = 0; i < snapshot->count; i++) {
+        const struct gsn_snapshot_row *row = &snapshot->at[i];
+
+        run = row->run > run ? row->run : run;
+        specimen = row->id > specimen ? row->id : specimen;
+        if (strcmp(row->state, "waiting") == 0 || strcmp(row->state, "working") == 0)
+            (void)json_array_append_new(open, json_integer(row->id));
+    }
+    gsn_queue_boot(boot);
+    return json_pack("{s:s, s:I, s:I, s:o}", "boot", boot, "run", (json_int_t)run, "specimen",
+                     (json_int_t)specimen, "open", open);
+}
+
+static size_t count_open(const json_t *began)
+{
+    return json_array_size(json_object_get(began, "open"));
+}
+
+/* gives: what note_beginning() noted, or NULL after a complaint: this is no such text, or it was
+ * another machine. */
+static json_t *read_beginning(const struct gsn_ui *ui, const char *text, int *ret_status)
+{
+    json_t *began = json_loads(text, JSON_REJECT_DUPLICATES, NULL);
+    char boot[GSN_QUEUE_BOOT_SIZE];
+    const char *was;
+    json_int_t run, specimen;
+    json_t *open;
+
+    gsn_queue_boot(boot);
+    if (!began || json_unpack(began, "{s:s, s:I, s:I, s:o!}", "boot", &was, "run", &run, "specimen",
+                              &specimen, "open", &open) < 0)
+        *ret_status = gsn_ui_usage(ui, "--share and --rest are for `gieson night --slurm`, which "
+                                       "gives them what they need");
+    else if (strcmp(was, boot) != 0)
+        *ret_status = gsn_ui_fail(
+            ui, EX_UNAVAILABLE,
+            "this is another machine than the one that began the night, or it was started again "
+            "since: a store is worked on by its own machine alone, so have Slurm choose that one "
+            "(SBATCH_PARTITION=...); nothing is lost, `gieson night` goes on");
+    else
+        return began;
+    json_decref(began);
     return NULL;
 }
 
-/* By us or by somebody else at the same time: it had work to do, or has another run than before. */
-static int was_worked(const struct gsn_snapshot_row *before, const struct gsn_snapshot_row *after)
+/* By us or by somebody else at the same time: it had work to do, or is new, or has a new run. */
+static int was_worked(const json_t *began, const struct gsn_snapshot_row *row)
 {
-    return !before || before->run != after->run || strcmp(before->state, "waiting") == 0 ||
-           strcmp(before->state, "working") == 0;
+    const json_t *const open = json_object_get(began, "open");
+
+    for (size_t i = 0; i < json_array_size(open); i++)
+        if (json_integer_value(json_array_get(open, i)) == row->id)
+            return 1;
+    return row->id > json_integer_value(json_object_get(began, "specimen")) ||
+           row->run > json_integer_value(json_object_get(began, "run"));
 }
+
+/* ---- what came of it ------------------------------------------------------------------------- */
 
 static void tell_row(const struct gsn_ui *ui, struct night *night,
                      const struct gsn_snapshot_row *row)
@@ -89,7 +156,7 @@ static void name_row(struct night *night, const struct gsn_snapshot_row *row)
     night->named = longer;
 }
 
-static void compare_rows(const struct gsn_ui *ui, const struct gsn_snapshot *before,
+static void compare_rows(const struct gsn_ui *ui, const json_t *began,
                          const struct gsn_snapshot *after, struct night *night)
 {
     for (size_t i = 0; i < after->count; i++) {
@@ -97,7 +164,7 @@ static void compare_rows(const struct gsn_ui *ui, const struct gsn_snapshot *bef
         const int failed = strcmp(row->state, "failed") == 0;
         const int withheld = strcmp(row->state, "withheld") == 0;
 
-        if (!was_worked(find_row(before, row->id), row)) {
+        if (!was_worked(began, row)) {
             night->failed_before += failed != 0;
             continue;
         }
@@ -131,26 +198,22 @@ static int tell_end(const struct gsn_ui *ui, const struct night *night)
     return night->failed + night->withheld > 0 ? EX_DATAERR : EX_OK;
 }
 
-/* before: as it was when all that changed had been asked for. */
 static int work_night(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[],
-                      struct night *night)
+                      const json_t *began, struct night *night)
 {
-    gsn_auto(gsn_snapshot) before = NULL;
     gsn_auto(gsn_snapshot) after = NULL;
     struct gsn_ui quiet = *ui;
     struct gsn_error err = { 0 };
-    int status, r = gsn_snapshot_take(store, &before, &err);
+    int status, r;
 
-    if (r < 0)
-        return gsn_ui_complain(ui, &err, r);
     quiet.json = 0;
-    status = gsn_ui_work_queue(&quiet, store, args);
+    status = gsn_ui_work_queue(&quiet, store, args, 0);
     if (status != EX_OK)
         return status;
     r = gsn_snapshot_take(store, &after, &err);
     if (r < 0)
         return gsn_ui_complain(ui, &err, r);
-    compare_rows(ui, before, after, night);
+    compare_rows(ui, began, after, night);
     return tell_end(ui, night);
 }
 
@@ -177,11 +240,13 @@ static char *person_words(const struct night *night)
                       plural(night->sections));
 }
 
-/* gives: the paragraph. status: how the night ended. */
+/* gives: the paragraph. log: where it is said why the night could not be done, which is where
+ * status says so. */
 static char *write_words(const struct gsn_store *store, const struct night *night,
-                         const char *publish, int status)
+                         const char *publish, const char *log, int status)
 {
     const time_t now = time(NULL);
+    const int ended = status == EX_OK || status == EX_DATAERR;
     struct tm local = { 0 };
     char day[32];
     gsn_auto_mem(char) withheld = count_words(night->withheld, "withheld");
@@ -189,28 +254,27 @@ static char *write_words(const struct gsn_store *store, const struct night *nigh
     gsn_auto_mem(char) earlier =
         count_words(night->failed_before, "failed earlier and not tried again");
     gsn_auto_mem(char) person = person_words(night);
-    gsn_auto_mem(char) more =
-        night->named_count > MOST_NAMED
-            ? gsn_format("\nand %zu more", night->named_count - MOST_NAMED)
-            : gsn_strdup("");
+    gsn_auto_mem(char) more = night->named_count > MOST_NAMED
+                                  ? gsn_format("\nand %zu more", night->named_count - MOST_NAMED)
+                                  : gsn_strdup("");
 
     (void)localtime_r(&now, &local);
     (void)strftime(day, sizeof day, "%Y-%m-%d %H:%M", &local);
     if (!withheld || !failed || !earlier || !person || !more)
         return NULL;
-    return gsn_format(
-        "gieson, %s: %s%zu specimen%s computed, %zu reported%s%s%s.%s All of it: %s/index.html%s%s\n",
-        day,
-        status == EX_OK || status == EX_DATAERR ? "" : "the night could not be done to its end, "
-                                                       "`journalctl -u gieson-night` says why. ",
-        night->worked, plural(night->worked), night->reported, withheld, failed, earlier, person,
-        publish ? publish : gsn_store_dir(store), night->named ? night->named : "", more);
+    return gsn_format("gieson, %s: %s%s%s%zu specimen%s computed, %zu reported%s%s%s.%s All of it: "
+                      "%s/index.html%s%s\n",
+                      day, ended ? "" : "the night could not be done to its end, ",
+                      ended ? "" : log, ended ? "" : " says why. ", night->worked,
+                      plural(night->worked), night->reported, withheld, failed, earlier, person,
+                      publish ? publish : gsn_store_dir(store), night->named ? night->named : "",
+                      more);
 }
 
 static int leave_words(const struct gsn_ui *ui, struct gsn_store *store, const struct night *night,
-                       const char *publish, int status)
+                       const char *publish, const char *log, int status)
 {
-    gsn_auto_mem(char) words = write_words(store, night, publish, status);
+    gsn_auto_mem(char) words = write_words(store, night, publish, log, status);
     gsn_auto_mem(char) advice = words ? gsn_advice(ui->store_dir, words) : NULL;
     gsn_auto_mem(char) path = gsn_format("%s/night.txt", gsn_store_dir(store));
     struct gsn_error err = { 0 };
@@ -232,16 +296,127 @@ static int make_pages(const struct gsn_ui *quiet, const char *publish)
     return made == EX_OK ? gsn_ui_call(quiet, "gieson-work", 1, index) : made;
 }
 
-int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
+/* ---- Slurm ----------------------------------------------------------------------------------- */
+
+static int tell_jobs(const struct gsn_ui *ui, const struct gsn_slurm_jobs *jobs, size_t specimens)
+{
+    if (ui->json)
+        gsn_ui_print_json(ui, json_pack("{s:s, s:I, s:s}", "share", jobs->share, "tasks",
+                                        (json_int_t)jobs->tasks, "rest", jobs->rest));
+    else
+        gsn_ui_say(
+            ui,
+            "%zu specimen%s: job %s of Slurm (%zu task%s) computes, job %s makes the pages and "
+            "night.txt after it; `squeue -j %s,%s` shows them, and night.log of the store has "
+            "what they say",
+            specimens, plural(specimens), jobs->share, jobs->tasks, plural(jobs->tasks), jobs->rest,
+            jobs->share, jobs->rest);
+    return EX_OK;
+}
+
+/* threads: NULL when nothing was said. */
+static int submit_night(const struct gsn_ui *ui, const char *publish, const char *threads,
+                        const json_t *began)
+{
+    char folder[PATH_MAX];
+    char *const text = json_dumps(began, JSON_COMPACT);
+    const struct gsn_slurm_night night = { folder, text, threads, count_open(began) };
+    __attribute__((cleanup(gsn_slurm_jobs_done))) struct gsn_slurm_jobs jobs = { 0 };
+    struct gsn_error err = { 0 };
+    int r;
+
+    if (publish && publish[0] != '/')
+        r = gsn_fail(&err, GSN_E_INPUT,
+                     "GIESON_PUBLISH is \"%s\": Slurm's jobs run in the store, so say it from / on",
+                     publish);
+    else if (!text || !realpath(ui->store_dir, folder))
+        r = gsn_fail(&err, GSN_E_IO, "%s: its place cannot be told", ui->store_dir);
+    else
+        r = gsn_slurm_submit(&night, &jobs, &err);
+    free(text); /* door */
+    return r < 0 ? gsn_ui_complain(ui, &err, r) : tell_jobs(ui, &jobs, night.specimens);
+}
+
+/* ---- the verb -------------------------------------------------------------------------------- */
+
+/* Takes --slurm, --share and --rest out of the arguments. ret_began: the text behind the latter
+ * two. */
+static enum way take_way(int *argc, char **argv, const char **ret_began)
+{
+    enum way way = HERE;
+    int kept = 1;
+
+    for (int i = 1; i < *argc; i++) {
+        const int is_share = strcmp(argv[i], "--share") == 0;
+
+        if (strcmp(argv[i], "--slurm") == 0) {
+            way = SLURM;
+        } else if ((is_share || strcmp(argv[i], "--rest") == 0) && i + 1 < *argc) {
+            way = is_share ? SHARE : REST;
+            *ret_began = argv[++i];
+        } else {
+            argv[kept++] = argv[i];
+        }
+    }
+    *argc = kept;
+    return way;
+}
+
+/* gives: how it begins now that all that changed is asked for, or NULL after a complaint. */
+static json_t *begin_night(const struct gsn_ui *ui, struct gsn_store *store, int *ret_status)
 {
     static const char *const ask[] = { "changed", NULL };
+    gsn_auto(gsn_snapshot) snapshot = NULL;
+    struct gsn_error err = { 0 };
+    json_t *began;
+    int r;
+
+    *ret_status = gsn_ui_call(ui, "gieson-work", 1, ask);
+    if (*ret_status != EX_OK)
+        return NULL;
+    r = gsn_snapshot_take(store, &snapshot, &err);
+    if (r < 0) {
+        *ret_status = gsn_ui_complain(ui, &err, r);
+        return NULL;
+    }
+    began = note_beginning(snapshot);
+    if (!began)
+        *ret_status = gsn_ui_fail(ui, EX_OSERR, "out of memory");
+    return began;
+}
+
+/* Works, makes the pages and leaves the paragraph. began: NULL where status says why there is none.
+ */
+static int finish_night(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[],
+                        const json_t *began, const char *publish, const char *log, int status)
+{
+    __attribute__((cleanup(night_done))) struct night night = { 0 };
+    struct gsn_ui quiet = *ui;
+    int made;
+
+    quiet.json = 0;
+    if (began) {
+        night.rows = ui->json ? json_array() : NULL;
+        status = work_night(ui, store, args, began, &night);
+    }
+    if (status == EX_OK || status == EX_DATAERR) {
+        made = make_pages(&quiet, publish);
+        status = made == EX_OK ? status : made;
+    }
+    made = leave_words(ui, store, &night, publish, log, status);
+    return status == EX_OK ? made : status;
+}
+
+int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
+{
     const char *const said = getenv("GIESON_PUBLISH");
     const char *const publish = said && *said ? said : NULL;
-    const char *args[4] = { 0 };
+    const char *args[4] = { 0 }, *text = NULL;
+    const enum way way = take_way(&argc, argv, &text);
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
-    __attribute__((cleanup(night_done))) struct night night = { 0 };
-    int status = gsn_ui_threads(ui, argv[0], argc, argv, args), made;
+    json_t *began;
+    int status = gsn_ui_threads(ui, "--threads N and --slurm", argc, argv, args);
 
     if (status != EX_OK)
         return status;
@@ -249,15 +424,18 @@ int gsn_cmd_night(const struct gsn_ui *ui, int argc, char **argv)
     if (!store)
         return status;
     quiet.json = 0;
-    status = gsn_ui_call(&quiet, "gieson-work", 1, ask);
-    if (status == EX_OK) {
-        night.rows = ui->json ? json_array() : NULL;
-        status = work_night(ui, store, args, &night);
-    }
-    if (status == EX_OK || status == EX_DATAERR) {
-        made = make_pages(&quiet, publish);
-        status = made == EX_OK ? status : made;
-    }
-    made = leave_words(ui, store, &night, publish, status);
-    return status == EX_OK ? made : status;
+    began = way == SHARE || way == REST ? read_beginning(ui, text, &status)
+                                        : begin_night(&quiet, store, &status);
+    if (!began && way != HERE)
+        return status;
+    if (way == SHARE)
+        status = gsn_ui_work_queue(&quiet, store, args, 1);
+    else if (way == SLURM && count_open(began) > 0)
+        status = submit_night(ui, publish, argc > 1 ? args[1] : NULL, began);
+    else
+        status = finish_night(
+            ui, store, args, began, publish,
+            way == REST ? "night.log of the store" : "`journalctl -u gieson-night`", status);
+    json_decref(began);
+    return status;
 }

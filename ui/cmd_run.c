@@ -2,7 +2,8 @@
 
 /* The verbs that have waiting work done: run, retry.
  *
- * `run` starts gieson-work until the queue is empty and draws one line of progress from the rows. */
+ * `run` starts gieson-work until the queue is empty and draws one line of progress from the rows.
+ */
 
 #include <math.h>
 #include <stdio.h>
@@ -23,6 +24,7 @@
 
 enum {
     LOOK_EVERY_MS = 100,
+    LONGEST_PAUSE_MS = 1600, /* between two looks for a job while others are at what is left */
     MOST_THREADS = 64,
     FRUITLESS_STARTS = 8, /* workers that ended without touching the queue: something is broken */
 };
@@ -128,9 +130,20 @@ static int64_t count_attempts(struct gsn_store *store)
     return sum;
 }
 
-int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[])
+/* Whether what is left runs already, at other workers. */
+static int is_all_taken(struct gsn_store *store)
+{
+    struct gsn_job_counts counts = { 0 };
+    struct gsn_error quiet = { 0 };
+
+    return gsn_queue_counts(store, &counts, &quiet) >= 0 && counts.waiting == 0;
+}
+
+int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[],
+                      int shared)
 {
     int fruitless = 0;
+    long pause_ms = LOOK_EVERY_MS;
 
     while (fruitless < FRUITLESS_STARTS) {
         const int64_t before = count_attempts(store);
@@ -141,11 +154,15 @@ int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const ch
             return EX_OSERR;
         status = wait_and_draw(ui, store, child);
         wipe_line(ui);
-        if (status == EX_NOINPUT)
+        if (status == EX_NOINPUT || (shared && status == EX_TEMPFAIL && is_all_taken(store)))
             return EX_OK;
-        if (status == EX_TEMPFAIL)
-            gsn_ui_pause_ms(LOOK_EVERY_MS); /* another worker has it */
-        else if (count_attempts(store) != before)
+        if (status == EX_TEMPFAIL) {
+            gsn_ui_pause_ms(pause_ms); /* another worker has it */
+            pause_ms = pause_ms < LONGEST_PAUSE_MS ? 2 * pause_ms : pause_ms;
+            continue;
+        }
+        pause_ms = LOOK_EVERY_MS;
+        if (count_attempts(store) != before)
             fruitless = 0;
         else if (status == EX_USAGE || status == EX_IOERR || status == EX_NOPERM)
             return status; /* it has said why, and would say it again */
@@ -193,7 +210,7 @@ static int report_end(const struct gsn_ui *ui, struct gsn_store *store)
     return failed || (withheld && withheld == snapshot->count) ? EX_DATAERR : EX_OK;
 }
 
-int gsn_ui_threads(const struct gsn_ui *ui, const char *verb, int argc, char **argv,
+int gsn_ui_threads(const struct gsn_ui *ui, const char *takes, int argc, char **argv,
                    const char *ret_args[4])
 {
     int n = 0;
@@ -202,7 +219,7 @@ int gsn_ui_threads(const struct gsn_ui *ui, const char *verb, int argc, char **a
         int64_t threads;
 
         if (strcmp(argv[i], "--threads") != 0 || n > 0)
-            return gsn_ui_usage(ui, "%s takes only --threads N, not \"%s\"", verb, argv[i]);
+            return gsn_ui_usage(ui, "%s takes only %s, not \"%s\"", argv[0], takes, argv[i]);
         if (i + 1 == argc || !gsn_ui_whole(argv[i + 1], 0, MOST_THREADS, &threads))
             return gsn_ui_usage(ui, "--threads must be a whole number from 0 to %d, not \"%s\"",
                                 (int)MOST_THREADS, i + 1 == argc ? "" : argv[i + 1]);
@@ -219,7 +236,7 @@ int gsn_cmd_run(const struct gsn_ui *ui, int argc, char **argv)
     const char *args[4] = { 0 };
     gsn_auto(gsn_store) store = NULL;
     struct gsn_ui quiet = *ui;
-    int status = gsn_ui_threads(ui, argv[0], argc, argv, args);
+    int status = gsn_ui_threads(ui, "--threads N", argc, argv, args);
 
     if (status != EX_OK)
         return status;
@@ -227,7 +244,7 @@ int gsn_cmd_run(const struct gsn_ui *ui, int argc, char **argv)
     if (!store)
         return status;
     quiet.json = 0;
-    status = gsn_ui_work_queue(&quiet, store, args);
+    status = gsn_ui_work_queue(&quiet, store, args, 0);
     if (status == EX_OK)
         status = gsn_ui_call(&quiet, "gieson-work", 1, index);
     return status == EX_OK ? report_end(ui, store) : status;

@@ -44,7 +44,9 @@ static const struct gsn_help pages[] = {
       "makes "
       "the\n"
       "pages of all studies again.",
-      "  --threads N          0 (all) to 64\n", "gieson night" },
+      "  --threads N          0 (all) to 64\n"
+      "  --slurm              submit it to Slurm, on the machine that has the store\n",
+      "gieson night" },
     { "retry", "[SPECIMEN]", "Lets failed jobs, of one specimen or of all, wait again.", "",
       "gieson retry R07-left && gieson run" },
     { "decide", "SPECIMEN PLACE ANSWER",

@@ -74,11 +74,14 @@ int gsn_ui_call(const struct gsn_ui *ui, const char *program, int with_store,
                 const char *const args[]);
 
 /* What gieson-work is asked for when it works the queue: "--threads N" of the verb's arguments, as
- * far as they are given, then "work". Complains about any other argument and returns a status. */
-int gsn_ui_threads(const struct gsn_ui *ui, const char *verb, int argc, char **argv,
+ * far as they are given, then "work". Complains about any other argument, by what the verb takes,
+ * and returns a status. */
+int gsn_ui_threads(const struct gsn_ui *ui, const char *takes, int argc, char **argv,
                    const char *ret_args[4]);
-/* Starts one worker after the other until the queue is empty; the exit status. */
-int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[]);
+/* Starts one worker after the other until the queue is empty, or, when it is shared with others,
+ * until they are at all that is left; the exit status. */
+int gsn_ui_work_queue(const struct gsn_ui *ui, struct gsn_store *store, const char *const args[],
+                      int shared);
 /* How a specimen ended, in a line. */
 struct gsn_snapshot_row;
 void gsn_ui_print_end(const struct gsn_ui *ui, const struct gsn_snapshot_row *row);

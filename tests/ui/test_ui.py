@@ -11,6 +11,7 @@ import pathlib
 import re
 import shutil
 import sqlite3
+import subprocess
 import sys
 import threading
 import time
@@ -47,13 +48,14 @@ class Words(Bench):
         self.empty_store()
         for verb in ("run", "night"):
             self.assertEqual(self.call(verb, "more").stderr,
-                             f'gieson: {verb} takes only --threads N, not "more"\n')
+                             f'gieson: {verb} takes only --threads N{" and --slurm" if verb == "night" else ""}, '
+                             'not "more"\n')
 
     def test_a_mistake_is_one_line_and_64(self):
         self.empty_store()
         for args in ([], ["frobnicate"], [""], ["status", "more"], ["top", "more"], ["top", "--json"], ["show"], ["show", "a", "b"],
                      ["report"], ["import"], ["verify"], ["check"], ["run", "--threads"],
-                     ["run", "more"], ["retry", "a", "b"], ["demo", "a", "b"], ["night", "more"],
+                     ["run", "more"], ["retry", "a", "b"], ["demo", "a", "b"], ["night", "more"], ["night", "--share"], ["night", "--rest", "{}"],
                      ["night", "--threads"], ["scrub", "--minutes"], ["scrub", "--minutes", "x"],
                      ["scrub", "--quickly"], ["backup"], ["backup", "a", "b"], ["restore"],
                      ["verify", "--journal", "x"],
@@ -929,6 +931,97 @@ class Night(Bench):
         told = self.json("night", code=65)
         self.assertEqual({r["specimen"]: r["state"] for r in told["worked"]}["bad"], "failed")
         self.assertEqual(told["failed"], 1)
+
+
+class Slurm(Bench):
+    """A night is handed over as two jobs; an sbatch of ours writes down what it was given."""
+
+    def setUp(self):
+        super().setUp()
+        self.store = self.folder / "%A $HOME 'it''s'"  # patterns of Slurm's and of a shell's
+        tools = self.folder / "tools"
+        tools.mkdir()
+        (tools / "sbatch").write_text(f'#!/bin/sh\nprintf "%s\\0" "$@" >>"{self.folder}/given"\n'
+                                      f'printf "\\n\\0" >>"{self.folder}/given"\necho "${{ANSWER-41;bench}}"\n')
+        (tools / "sbatch").chmod(0o755)
+        self.path = {"PATH": f"{tools}:{os.environ['PATH']}"}
+
+    def given(self):
+        """What each sbatch was given."""
+        return [job.split("\0")[:-1] for job in (self.folder / "given").read_text().split("\n\0")[:-1]]
+
+    def states(self):
+        return [s["state"] for s in self.json("status")["specimens"]]
+
+    def test_sbatch_is_given_words_and_its_two_jobs_do_the_night(self):
+        self.imported("one")
+        self.imported("two", folder="more")
+        done = self.call("night", "--slurm", "--threads", "2", env=self.path)
+        self.assertEqual((done.returncode, done.stderr), (0, ""))
+        self.assertRegex(" ".join(done.stdout.split()), r"^2 specimens: job 41 of Slurm \(2 tasks\) computes, job 41 makes")
+        self.assertEqual(self.states(), ["waiting", "waiting"])
+        share, rest = self.given()
+        task, gieson = str(bench.BIN / "gieson-slurm-task"), str(bench.BIN / "gieson")
+        began = share[share.index("--share") + 1]
+        for job, where, what in ((share, "--array=1-2", "--share"), (rest, "--dependency=afterany:41", "--rest")):
+            self.assertEqual(job, ["--parsable", "--requeue", "--job-name=gieson-night", f"--chdir={self.store}",
+                                   "--output=\\night.log", "--open-mode=append", "--cpus-per-task=2", where,
+                                   task, gieson, "--store", str(self.store), "night", what, began,
+                                   "--threads", "2"])
+        # As Slurm does it: the script with its words, twice for the array.
+        for job, ends in ((share, 0), (share, 0), (rest, 65)):
+            done = subprocess.run(job[job.index(task):], capture_output=True, text=True)
+            self.assertEqual(done.returncode, ends, done.stderr)
+        self.assertEqual([line.split(":")[0] for line in done.stdout.splitlines() if not line.startswith(" ")],
+                         ["one", "two"])
+        self.assertEqual(self.states(), ["withheld", "withheld"])
+        self.assertIn(": 2 specimens computed, 0 reported, 2 withheld.", (self.store / "night.txt").read_text())
+        self.assertTrue((self.store / "index.html").exists())
+        # Nothing changed: nothing is submitted.
+        done = self.call("night", "--slurm", env=self.path)
+        self.assertEqual((done.returncode, done.stdout), (0, "nothing changed since the last reports\n"))
+        self.assertEqual(len(self.given()), 2)
+        # One of the two changed: it alone is told, though it failed and has no new run.
+        self.assertEqual(self.call("import", "--replace", self.job("one", week=3)).returncode, 0)
+        self.assertEqual(self.call("night", "--slurm", env=self.path).returncode, 0)
+        with sqlite3.connect(self.store / "gieson.db") as db:
+            db.execute("UPDATE job SET state = 'failed', message = 'no mesh' WHERE state = 'waiting'")
+        db.close()
+        rest = self.given()[3]
+        done = subprocess.run(rest[rest.index(task):], capture_output=True, text=True)
+        self.assertRegex(done.stdout, r"^one: failed: no mesh\n$")
+
+    def test_a_task_on_another_machine_does_nothing_and_says_so(self):
+        self.imported("one")
+        self.assertEqual(self.call("night", "--slurm", env=self.path).returncode, 0)
+        self.assertIn("--exclusive", self.given()[0])
+        began = json.loads(self.given()[0][-1])
+        began["boot"] = "7" * 36
+        for part in ("--share", "--rest"):
+            self.assertIn("another machine", self.refused(self.call("night", part, json.dumps(began)), 69))
+        self.assertEqual(self.states(), ["waiting"])
+
+    def test_a_task_ends_when_others_are_at_all_that_is_left(self):
+        self.imported("one")
+        self.assertEqual(self.call("night", "--slurm", env=self.path).returncode, 0)
+        boot = pathlib.Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        with sqlite3.connect(self.store / "gieson.db") as db:
+            db.execute("UPDATE job SET state = 'running', owner = 'another', boot = ?, processes = ?, pid = ?, "
+                       "lease_s = 600, lease_until = ?", (boot, os.readlink("/proc/self/ns/pid"), os.getpid(),
+                                                          int(time.clock_gettime(time.CLOCK_BOOTTIME)) + 600))
+        db.close()
+        done = self.call("night", "--share", self.given()[0][-1], timeout=60)
+        self.assertEqual((done.returncode, done.stdout, done.stderr), (0, "", ""))
+        self.assertEqual(self.states(), ["working"])
+
+    def test_where_slurm_takes_nothing_all_waits_on(self):
+        self.imported("one")
+        self.assertIn("slurm-client", self.refused(self.call("night", "--slurm", env={"PATH": "/nowhere"}), 69))
+        self.assertIn("no number of a job: sorry",
+                      self.refused(self.call("night", "--slurm", env={**self.path, "ANSWER": "sorry"}), 69))
+        self.assertIn("from / on", self.refused(
+            self.call("night", "--slurm", env={**self.path, "GIESON_PUBLISH": "web"}), 65))
+        self.assertEqual(self.states(), ["waiting"])
 
 
 class Scrub(Bench):

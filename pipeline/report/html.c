@@ -4,7 +4,7 @@
  *
  * Method: parts are appended to one text in the order of the page; what others wrote passes one
  * escape (text.h). Content Security Policy (W3C) allows pictures inside the file, the style sheet
- * and the viewer's script by their SHA-256, and nothing else.
+ * and the two viewers' scripts by their SHA-256, and nothing else.
  *
  * Steps: (1) head with the policy; (2) title and contents, a link for each part that is there; (3)
  * verdict, the one figure that is asked for, cards; (4) warnings, volumes, model, pictures, charts,
@@ -72,11 +72,11 @@ static int add_hash(struct gsn_report_text *text, const unsigned char *bytes, si
     }
     gsn_report_text_raw(text, "'sha256-");
     gsn_report_text_base64(text, raw, sizeof raw);
-    gsn_report_text_raw(text, "'; ");
+    gsn_report_text_raw(text, "'");
     return GSN_OK;
 }
 
-static int add_policy(struct gsn_report_text *text, int scripted, struct gsn_error *err)
+static int add_policy(struct gsn_report_text *text, unsigned scripts, struct gsn_error *err)
 {
     int r;
 
@@ -84,22 +84,28 @@ static int add_policy(struct gsn_report_text *text, int scripted, struct gsn_err
         text, "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; "
               "img-src data:; style-src ");
     r = add_hash(text, gsn_html_style, gsn_html_style_size, err);
-    if (r >= 0 && scripted) {
-        gsn_report_text_raw(text, "script-src ");
+    if (scripts)
+        gsn_report_text_raw(text, "; script-src");
+    if (r >= 0 && scripts & GSN_HTML_MODEL) {
+        gsn_report_text_raw(text, " ");
         r = add_hash(text, gsn_html_viewer_script, gsn_html_viewer_script_size, err);
     }
-    gsn_report_text_raw(text, "base-uri 'none'; form-action 'none'\">\n");
+    if (r >= 0 && scripts & GSN_HTML_ALIGNMENT) {
+        gsn_report_text_raw(text, " ");
+        r = add_hash(text, gsn_html_alignment_script, gsn_html_alignment_script_size, err);
+    }
+    gsn_report_text_raw(text, "; base-uri 'none'; form-action 'none'\">\n");
     return r;
 }
 
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, int scripted,
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, unsigned scripts,
                   struct gsn_error *err)
 {
     int r;
 
     gsn_report_text_raw(text,
                         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
-    r = add_policy(text, scripted, err);
+    r = add_policy(text, scripts, err);
     if (r < 0)
         return r;
     gsn_report_text_raw(text,
@@ -158,6 +164,7 @@ static void add_contents(struct gsn_report_text *text, const struct gsn_report *
     add_link(text, "pictures", "Pictures", report->picture_count > 0);
     add_link(text, "tile", "Collagen map", report->tile != NULL);
     add_link(text, "charts", "Charts", has_charts(report));
+    add_link(text, "alignment", "Aligned sections", report->aligned != NULL);
     add_link(text, "sheet", "Contact sheet", report->section_count > 0);
     add_link(text, "choices", "Poses to choose from", gsn_html_has_choices(report));
     add_link(text, "decisions", "Decided by people", report->decision_count > 0);
@@ -512,7 +519,9 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
                     struct gsn_error *err)
 {
     gsn_auto_report_text text = { .bytes = NULL };
-    const int r = gsn_html_head(&text, report->specimen, "", report->model != NULL, err);
+    const unsigned scripts = (report->model ? GSN_HTML_MODEL : 0) |
+                             (report->aligned ? GSN_HTML_ALIGNMENT : 0);
+    const int r = gsn_html_head(&text, report->specimen, "", scripts, err);
 
     if (r < 0)
         return r;
@@ -526,6 +535,7 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
     add_pictures(&text, report);
     gsn_html_tile(&text, report);
     add_charts(&text, report);
+    gsn_html_alignment(&text, report);
     gsn_html_sheet(&text, report);
     gsn_html_choices(&text, report);
     gsn_html_decisions(&text, report);

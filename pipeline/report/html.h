@@ -16,14 +16,19 @@ extern "C" {
 extern const unsigned char gsn_html_style[];
 extern const size_t gsn_html_style_size;
 
-/* viewer.js, likewise. */
+/* viewer.js and alignment.js, likewise. */
 extern const unsigned char gsn_html_viewer_script[];
 extern const size_t gsn_html_viewer_script_size;
+extern const unsigned char gsn_html_alignment_script[];
+extern const size_t gsn_html_alignment_script_size;
 
-/* Everything up to and with <body>: the policy that nothing is fetched and that nothing runs, or
- * viewer.js alone; the title (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM.
+/* Which of them a page has, as bits. */
+enum { GSN_HTML_MODEL = 1, GSN_HTML_ALIGNMENT = 2 };
+
+/* Everything up to and with <body>: the policy that nothing is fetched and that nothing runs
+ * but these scripts; the title (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM.
  */
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, int scripted,
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, unsigned scripts,
                   struct gsn_error *err);
 
 /* Whether there is a text to show. */
@@ -38,7 +43,10 @@ void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *p
 /* A unit as people write it: mm3 becomes mm with a raised 3. */
 void gsn_html_unit(struct gsn_report_text *text, const char *unit);
 
-/* html_viewer.c: the model to turn and ask; its script, which comes last. */
+/* html_alignment.c: the sections as they lie in the block, to scroll through. */
+void gsn_html_alignment(struct gsn_report_text *text, const struct gsn_report *report);
+
+/* html_viewer.c: the model to turn and ask; the scripts, which come last. */
 void gsn_html_viewer(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_script(struct gsn_report_text *text, const struct gsn_report *report);
 

@@ -102,12 +102,17 @@ struct gsn_report_section {
     struct gsn_point marker_px[3]; /* panel pixels; meaningless where not found */
     int marker_found[3];
     double residual_um[3];
+    struct gsn_point onto_um[3]; /* where the common triangle has each mark found, block frame */
+    struct gsn_point off_um[3];  /* from there to where the section's lies */
+    double tissue_apart_um;      /* from where its neighbours' tissue lays it; NaN: not compared */
+    double tissue_limit_um;      /* up to which that is usual in this stack */
     int posed; /* whether panel_to_block_um and predicted_tre_um are known */
     struct gsn_affine panel_to_block_um;
     double predicted_tre_um;              /* over the region */
     int strained;                         /* whether the section's stretch is known */
     double strain_percent[2], strain_deg; /* longer along that direction, and across it */
     struct gsn_report_png thumbnail;
+    struct gsn_report_png aligned; /* as its pose lays it; as gsn_report_aligned says */
     double outline_mm2, masked_mm2; /* reasons overlap, so their areas may sum to more */
     double region_masked;           /* share of the section's part of the region, 0..1 */
     struct gsn_report_masked masked[GSN_REPORT_REASONS];
@@ -201,6 +206,12 @@ struct gsn_report_input {
     size_t size;
 };
 
+/* The square of the block that all aligned pictures of sections show. */
+struct gsn_report_aligned {
+    struct gsn_point corner_um;
+    double um_per_px;
+};
+
 /* A row of the table of measures or of the parameters. */
 struct gsn_report_value {
     const char *name;
@@ -246,6 +257,7 @@ struct gsn_report {
     const struct gsn_report_units *units;               /* NULL: none */
     const struct gsn_report_tile *tile;                 /* NULL unless the kind is tile */
     const struct gsn_report_model *model;               /* NULL: none */
+    const struct gsn_report_aligned *aligned;           /* NULL: no section has such a picture */
     const struct gsn_report_picture *pictures;
     size_t picture_count;
     const char *const *warnings;

@@ -21,6 +21,7 @@
 #include "pipeline/register/order/sequence.h"
 #include "pipeline/register/stack/resample.h"
 #include "pipeline/register/stack/resample_colour.h"
+#include "pipeline/specimen/aligned_pictures.h"
 #include "pipeline/specimen/normalisation.h"
 #include "pipeline/specimen/quality_control.h"
 #include "pipeline/specimen/section_order.h"
@@ -98,8 +99,9 @@ void gsn_stack_light_table_done(struct gsn_stack_light_table *light)
     gsn_free(light->code);
 }
 
-/* Shown at half its size, so that it can be enlarged. */
-enum { THUMBNAIL_PX = 264, THUMBNAIL_QUALITY = 85 };
+/* Shown at half its size, so that it can be enlarged; MANY of them weigh a megabyte in the page, and
+ * so do more. */
+enum { THUMBNAIL_PX = 264, THUMBNAIL_QUALITY = 85, MANY = 60 };
 
 /* A hundredth of the tissue clipped is told; of a fifth the mean of what is left says little, for
  * it is the darkest that is missing. */
@@ -145,6 +147,8 @@ static int draw_thumbnails(const struct gsn_scan *scan, unsigned number,
                            const struct gsn_poses *poses, struct gsn_densities *d,
                            struct gsn_error *err)
 {
+    const double share = fmin(1, sqrt(MANY / fmax(1, (double)poses->section_count)));
+
     for (size_t i = 0; i < poses->section_count; i++) {
         const struct gsn_panel_section *seen = &poses->section[i].seen;
         int r;
@@ -152,8 +156,8 @@ static int draw_thumbnails(const struct gsn_scan *scan, unsigned number,
         if (poses->section[i].panel != number || seen->width <= 0 || seen->height <= 0)
             continue;
         r = gsn_thumbnail(scan->picture->image, scan->glass.light, seen->x, seen->y, seen->width,
-                          seen->height, d->marks[i].mark, THUMBNAIL_PX, THUMBNAIL_QUALITY,
-                          &d->section[i].thumbnail, err);
+                          seen->height, d->marks[i].mark, (unsigned)(share * THUMBNAIL_PX),
+                          THUMBNAIL_QUALITY, &d->section[i].thumbnail, err);
         if (r < 0)
             return r;
     }
@@ -401,7 +405,7 @@ static int process_panel(struct panel_work *work, struct gsn_stack_panel *panel,
 
 static int open_panel(struct panel_work *work, struct gsn_stack_panel *panel,
                       struct gsn_calibrations *calibrations, struct gsn_candidate_sheet *sheet,
-                      struct gsn_error *err)
+                      struct gsn_aligned_pictures *aligned, struct gsn_error *err)
 {
     const struct gsn_specimen *specimen = work->specimen;
     const struct gsn_specimen_options *options = work->options;
@@ -427,6 +431,8 @@ static int open_panel(struct panel_work *work, struct gsn_stack_panel *panel,
         r = draw_thumbnails(scan, number, work->poses, work->d, err);
     if (r >= 0)
         r = gsn_candidate_sheet_look(sheet, work->poses, scan, number, err);
+    if (r >= 0)
+        r = gsn_aligned_pictures_look(aligned, work->poses, scan, number, err);
     if (r < 0)
         return r;
     panel->opened = 1;
@@ -449,10 +455,13 @@ static int open_panels(const struct gsn_specimen *specimen,
 {
     gsn_auto(gsn_section_planes) planes = NULL;
     gsn_auto(gsn_candidate_sheet) sheet = NULL;
+    gsn_auto(gsn_aligned_pictures) aligned = NULL;
     int r = d->grid ? gsn_section_planes_new(poses, GSN_SEQUENCE_CELL_UM, &planes, err) : GSN_OK;
 
     if (r >= 0)
         r = gsn_candidate_sheet_new(poses, &sheet, err);
+    if (r >= 0 && !specimen->part)
+        r = gsn_aligned_pictures_new(poses, &aligned, err);
     if (r < 0)
         return r;
     for (size_t i = 0; i < specimen->panel_count; i++) {
@@ -467,12 +476,14 @@ static int open_panels(const struct gsn_specimen *specimen,
         gsn_progress_say(options->progress, "stacking", i, specimen->panel_count);
         if (specimen->panel[i].section_count == 0)
             continue;
-        r = open_panel(&work, &d->panel[i], calibrations, sheet, err);
+        r = open_panel(&work, &d->panel[i], calibrations, sheet, aligned, err);
         if (r < 0)
             return gsn_fail_at(err, "panel %u (%s)", specimen->panel[i].number,
                                specimen->panel[i].file);
     }
     r = gsn_candidate_sheet_draw(sheet, poses, d, err);
+    if (r >= 0)
+        r = gsn_aligned_pictures_code(aligned, d, err);
     if (r < 0)
         return r;
     return planes
@@ -560,6 +571,7 @@ void gsn_densities_done(struct gsn_densities *d)
 {
     for (size_t i = 0; d->section && i < d->section_count; i++) {
         gsn_free(d->section[i].thumbnail.png);
+        gsn_free(d->section[i].aligned.png);
         for (size_t c = 0; c < GSN_CANDIDATES; c++)
             gsn_free(d->section[i].candidate_picture[c].png);
     }

@@ -27,6 +27,7 @@ struct gsn_section_density {
     double thickness; /* against the panel's other sections; 1: as they are, or not told */
     struct gsn_png_picture thumbnail;                         /* png owned; size 0: none */
     struct gsn_png_picture candidate_picture[GSN_CANDIDATES]; /* likewise */
+    struct gsn_png_picture aligned; /* as its pose lays it; likewise */
     unsigned compared_with; /* serial number of the section outlined in them, from 1; 0: none */
 };
 
@@ -51,6 +52,8 @@ struct gsn_densities {
     size_t section_count;
     struct gsn_section_density *section; /* owned; as the poses have them */
     struct gsn_section_marks *marks;     /* owned; of each section, with those found by tissue */
+    struct gsn_point aligned_corner;    /* of their aligned pictures, um in the block */
+    double aligned_um_per_px;           /* 0: there are none */
     size_t panel_count;
     struct gsn_stack_panel *panel;  /* owned; as in the specimen */
     struct gsn_grid *grid;          /* owned; NULL without region or solution */

@@ -83,6 +83,7 @@ struct gsn_builder {
     struct gsn_report_units units;
     struct gsn_report_tile tile;
     struct gsn_report_model model;
+    struct gsn_report_aligned aligned;
     int linked; /* whether untreated tissue tells how the baseline was stained */
     struct gsn_batch_calibration link;
     struct gsn_hue_edge edge;  /* of both specimens' colours, where the loss was narrowed by it */

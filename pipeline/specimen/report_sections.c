@@ -262,7 +262,15 @@ static void fill_section(const struct gsn_reconstruction *a, size_t i, const str
                                         .thumbnail = { .bytes = shown->thumbnail.png,
                                                        .size = shown->thumbnail.size,
                                                        .width = shown->thumbnail.width,
-                                                       .height = shown->thumbnail.height } };
+                                                       .height = shown->thumbnail.height },
+                                        .aligned = { .bytes = shown->aligned.png,
+                                                     .size = shown->aligned.size,
+                                                     .width = shown->aligned.width,
+                                                     .height = shown->aligned.height },
+                                        .tissue_apart_um =
+                                            s->finding.compared ? s->finding.apart : NAN,
+                                        .tissue_limit_um =
+                                            s->finding.compared ? s->finding.limit : NAN };
     if (s->posed && strained) {
         const struct gsn_strain_axes axes = gsn_strain_principal(s->pose.strain);
 
@@ -279,6 +287,9 @@ static void fill_section(const struct gsn_reconstruction *a, size_t i, const str
         row->marker_found[m] = mark[m].found;
         row->marker_px[m] = mark[m].px;
         row->residual_um[m] = s->posed ? s->pose.residual_um[m] : NAN;
+        row->onto_um[m] = s->pose.state != GSN_POSE_NONE ? s->pose.onto_um[m]
+                                                         : (struct gsn_point){ NAN, NAN };
+        row->off_um[m] = s->pose.off_um[m];
     }
 }
 
@@ -616,7 +627,12 @@ static void fill_order(const struct gsn_report_inputs *e, struct gsn_builder *d)
 
 void gsn_builder_sections(const struct gsn_report_inputs *e, struct gsn_builder *d)
 {
+    const struct gsn_densities *shown = &e->reconstruction->densities;
+
     fill_sections(e, d);
+    d->aligned = (struct gsn_report_aligned){ .corner_um = shown->aligned_corner,
+                                              .um_per_px = shown->aligned_um_per_px };
+    d->report.aligned = shown->aligned_um_per_px > 0 ? &d->aligned : NULL;
     fill_panels(e, d);
     fill_conditions(e, d);
     fill_order(e, d);

@@ -9,7 +9,7 @@
  * 2. Panels are opened one after the other: as each passes, its sections in doubt are resampled,
  * and those that others are compared with get an outline (what is denser than half of the section's
  *    box on average).
- * 3. At the end outlines are drawn into the pictures and all are coded as PNG. */
+ * 3. At the end outlines are drawn into the pictures and all are coded as JPEG. */
 #include "pipeline/specimen/section_pictures.h"
 
 #include "pipeline/core/robust.h"
@@ -103,14 +103,38 @@ int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, in
                    : gsn_png_encode(small, &ret_picture->png, &ret_picture->size, err);
 }
 
+/* What a scan shows at a place of it, between its pixels; outside of the box as at its border. */
+static void add_sample(const struct gsn_image *image, const struct gsn_placed_box *box,
+                       struct gsn_point px, double sum[3])
+{
+    const double u = fmin(fmax(px.x - 0.5, box->x), box->x + box->width - 1);
+    const double v = fmin(fmax(px.y - 0.5, box->y), box->y + box->height - 1);
+    const size_t x = (size_t)u, y = (size_t)v;
+    const size_t right = x + 1 < (size_t)(box->x + box->width) ? image->channels : 0;
+    const size_t down = y + 1 < (size_t)(box->y + box->height)
+                            ? (size_t)image->channels * image->width
+                            : 0;
+    const size_t at = (y * image->width + x) * image->channels;
+    const double s = u - (double)x, t = v - (double)y;
+    const size_t corner[4] = { at, at + right, at + down, at + right + down };
+    const double weight[4] = { (1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t };
+
+    for (size_t k = 0; k < 4; k++)
+        for (size_t c = 0; c < 3; c++)
+            sum[c] += weight[k] * (image->bits == 16
+                                       ? ((const uint16_t *)image->samples)[corner[k] + c]
+                                       : ((const uint8_t *)image->samples)[corner[k] + c]);
+}
+
 int gsn_placed_picture(const struct gsn_image *image, enum gsn_light light,
                        const struct gsn_placed_box *box, struct gsn_point corner, double um_per_px,
                        unsigned side_px, struct gsn_image **ret_picture, struct gsn_error *err)
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
     const struct gsn_affine to_px = gsn_affine_inverse(&box->panel_to_block_um);
-    const int reach =
-        (int)fmax(1, ceil(um_per_px / sqrt(fabs(gsn_affine_det(&box->panel_to_block_um)))));
+    const double reach = um_per_px / sqrt(fabs(gsn_affine_det(&box->panel_to_block_um)));
+    const int samples = (int)fmin(fmax(ceil(reach), 1), 4); /* in each direction */
+    const double full = (image->bits == 16 ? 65535. : 255.) * samples * samples;
     const int right = box->x + box->width, down = box->y + box->height;
     gsn_auto(gsn_image) picture = NULL;
     int r = gsn_canvas_new(side_px, side_px, white, &picture, err);
@@ -120,22 +144,29 @@ int gsn_placed_picture(const struct gsn_image *image, enum gsn_light light,
             const struct gsn_point um = { corner.x + (u + 0.5) * um_per_px,
                                           corner.y + (v + 0.5) * um_per_px };
             const struct gsn_point px = gsn_affine_apply(&to_px, um);
-            int x, y;
+            double sum[3] = { 0 };
 
             if (!(px.x >= box->x && px.y >= box->y && px.x < right && px.y < down))
                 continue;
-            x = (int)px.x - reach / 2 > box->x ? (int)px.x - reach / 2 : box->x;
-            y = (int)px.y - reach / 2 > box->y ? (int)px.y - reach / 2 : box->y;
+            for (int k = 0; k < samples * samples; k++) {
+                const struct gsn_point part = {
+                    corner.x + (u + (k % samples + 0.5) / samples) * um_per_px,
+                    corner.y + (v + (k / samples + 0.5) / samples) * um_per_px
+                };
+
+                add_sample(image, box, gsn_affine_apply(&to_px, part), sum);
+            }
             gsn_canvas_put(picture, (int)u, (int)v,
-                           box_mean(image, light, x, y, x + reach < right ? x + reach : right,
-                                    y + reach < down ? y + reach : down));
+                           (struct gsn_colour){ .r = code_of(light, sum[0] / full),
+                                                .g = code_of(light, sum[1] / full),
+                                                .b = code_of(light, sum[2] / full) });
         }
     if (r >= 0)
         *ret_picture = gsn_steal(&picture);
     return r;
 }
 
-enum { SIDE_PX = 168, CELLS = SIDE_PX * SIDE_PX };
+enum { SIDE_PX = 168, CELLS = SIDE_PX * SIDE_PX, QUALITY = 90 };
 
 /* A neighbour farther away than this is another place of the block. */
 enum { MOST_APART = 3 };
@@ -158,7 +189,7 @@ struct gsn_candidate_sheet {
     struct figure *figure; /* one for each section of the reconstruction */
 };
 
-static int is_placed(const struct gsn_section *s)
+int gsn_section_is_placed(const struct gsn_section *s)
 {
     return s->posed && !s->pose.gross && (s->candidates.count == 0 || s->candidates.chosen) &&
            (s->state == GSN_SECTION_USED || s->state == GSN_SECTION_DOUBTFUL);
@@ -178,7 +209,7 @@ static size_t neighbour_of(const struct gsn_poses *poses, size_t i)
         const double apart =
             fabs((double)poses->section[k].seen.serial - poses->section[i].seen.serial);
 
-        if (k != i && is_placed(&poses->section[k]) && apart < least) {
+        if (k != i && gsn_section_is_placed(&poses->section[k]) && apart < least) {
             best = k;
             least = apart;
         }
@@ -186,48 +217,51 @@ static size_t neighbour_of(const struct gsn_poses *poses, size_t i)
     return best;
 }
 
-/* Around the middle of the placed sections, as wide as the typical one and some room; 0 when there
- * is none. scratch: three numbers for each section. */
-static int frame_of(const struct gsn_poses *poses, struct gsn_candidate_sheet *sheet,
-                    double *scratch)
+int gsn_placed_frame(const struct gsn_poses *poses, double room, struct gsn_point *ret_corner,
+                     double *ret_side_um, struct gsn_error *err)
 {
-    double *x = scratch, *y = x + poses->section_count, *longest = y + poses->section_count;
+    const size_t most = poses->section_count;
+    gsn_auto_mem(double) x = gsn_alloc_array(3 * most + 1, sizeof *x);
+    double *const y = x + most, *const longest = y + most;
     size_t count = 0;
-    double side;
+    double side = 0;
 
-    for (size_t i = 0; i < poses->section_count; i++) {
+    if (!x)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for pictures of sections");
+    for (size_t i = 0; i < most; i++) {
         const struct gsn_panel_section *seen = &poses->section[i].seen;
         const struct gsn_affine *map = &poses->section[i].pose.panel_to_block_um;
         const struct gsn_point middle = { seen->x + 0.5 * seen->width,
                                           seen->y + 0.5 * seen->height };
         struct gsn_point um;
 
-        if (!is_placed(&poses->section[i]))
+        if (!gsn_section_is_placed(&poses->section[i]))
             continue;
         um = gsn_affine_apply(map, middle);
         x[count] = um.x;
         y[count] = um.y;
         longest[count++] = fmax(seen->width, seen->height) * sqrt(fabs(gsn_affine_det(map)));
     }
-    if (count == 0)
-        return 0;
-    side = ROOM * gsn_median(longest, count);
-    sheet->um_per_px = side / SIDE_PX;
-    sheet->corner =
-        (struct gsn_point){ gsn_median(x, count) - 0.5 * side, gsn_median(y, count) - 0.5 * side };
-    return side > 0;
+    if (count > 0)
+        side = room * gsn_median(longest, count);
+    if (side > 0)
+        *ret_corner = (struct gsn_point){ gsn_median(x, count) - 0.5 * side,
+                                          gsn_median(y, count) - 0.5 * side };
+    *ret_side_um = side;
+    return GSN_OK;
 }
 
 int gsn_candidate_sheet_new(const struct gsn_poses *poses, struct gsn_candidate_sheet **ret_sheet,
                             struct gsn_error *err)
 {
     gsn_auto(gsn_candidate_sheet) sheet = gsn_alloc_array(1, sizeof *sheet);
-    gsn_auto_mem(double) scratch = gsn_alloc_array(3 * poses->section_count, sizeof *scratch);
     size_t doubtful = 0;
+    double side = 0;
+    int r = GSN_OK;
 
     if (sheet)
         sheet->figure = gsn_alloc_array(poses->section_count, sizeof *sheet->figure);
-    if (!sheet || !sheet->figure || !scratch)
+    if (!sheet || !sheet->figure)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the candidates' pictures");
     sheet->count = poses->section_count;
     for (size_t i = 0; i < poses->section_count; i++) {
@@ -238,8 +272,12 @@ int gsn_candidate_sheet_new(const struct gsn_poses *poses, struct gsn_candidate_
         sheet->figure[i].neighbour = neighbour_of(poses, i);
         sheet->figure[sheet->figure[i].neighbour].outlined |= sheet->figure[i].neighbour != i;
     }
-    *ret_sheet =
-        poses->solved && doubtful > 0 && frame_of(poses, sheet, scratch) ? gsn_steal(&sheet) : NULL;
+    if (poses->solved && doubtful > 0)
+        r = gsn_placed_frame(poses, ROOM, &sheet->corner, &side, err);
+    if (r < 0)
+        return r;
+    sheet->um_per_px = side / SIDE_PX;
+    *ret_sheet = side > 0 ? gsn_steal(&sheet) : NULL;
     return GSN_OK;
 }
 
@@ -380,6 +418,7 @@ static int draw_outline(struct gsn_image *image, const uint8_t *inside, struct g
 int gsn_candidate_sheet_draw(struct gsn_candidate_sheet *sheet, const struct gsn_poses *poses,
                              struct gsn_densities *densities, struct gsn_error *err)
 {
+    const struct gsn_jpeg_style style = { .quality = QUALITY, .smallest = 1 };
     int r = GSN_OK;
 
     for (size_t i = 0; sheet && i < sheet->count; i++) {
@@ -397,7 +436,7 @@ int gsn_candidate_sheet_draw(struct gsn_candidate_sheet *sheet, const struct gsn
             if (r < 0)
                 return r;
             picture->width = picture->height = SIDE_PX;
-            r = gsn_png_encode(figure->laid[c], &picture->png, &picture->size, err);
+            r = gsn_jpeg_encode(figure->laid[c], &style, &picture->png, &picture->size, err);
         }
         if (r >= 0 && figure->laid[0] && inside)
             densities->section[i].compared_with = poses->section[figure->neighbour].seen.serial + 1;

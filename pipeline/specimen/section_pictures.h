@@ -31,6 +31,13 @@ int gsn_placed_picture(const struct gsn_image *image, enum gsn_light light,
                        const struct gsn_placed_box *box, struct gsn_point corner, double um_per_px,
                        unsigned side_px, struct gsn_image **ret_picture, struct gsn_error *err);
 
+/* Whether it is certain enough where a section lies to hold others against it. */
+int gsn_section_is_placed(const struct gsn_section *section);
+/* The corner and side of a square around the middle of the placed sections, so many times as wide
+ * as the typical one; side 0: none is placed. Fails with GSN_E_NOMEM. */
+int gsn_placed_frame(const struct gsn_poses *poses, double room, struct gsn_point *ret_corner,
+                     double *ret_side_um, struct gsn_error *err);
+
 /* A candidate sheet: doubtful sections as each of their candidates would lay them, in the block
  * frame, with the outline of the nearest section whose place is known: small pictures to choose by.
  *

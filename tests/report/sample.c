@@ -21,6 +21,7 @@ struct sample {
     struct gsn_report_tile tile;
     size_t bin[BINS];
     struct gsn_report_picture picture[PICTURES];
+    struct gsn_report_aligned aligned;
 };
 
 static const char digest[] = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08";
@@ -137,6 +138,12 @@ static void section_colour(double x, double y, double turn, double ret[3])
     }
 }
 
+/* The same laid on its marks, this much beside its place. */
+static void aligned_colour(double x, double y, double beside, double ret[3])
+{
+    section_colour(x + beside, y, 0, ret);
+}
+
 static void density_colour(double x, double y, double turn, double ret[3])
 {
     const double d =
@@ -148,9 +155,8 @@ static void density_colour(double x, double y, double turn, double ret[3])
 }
 
 static int draw(void (*colour)(double x, double y, double turn, double ret[3]), double turn,
-                unsigned width, struct gsn_report_png *ret_png)
+                unsigned width, unsigned height, struct gsn_report_png *ret_png)
 {
-    const unsigned height = width * 7 / 8;
     gsn_auto_mem(uint8_t) rgb = gsn_alloc_array((size_t)width * height, 3);
 
     if (!rgb)
@@ -172,6 +178,7 @@ static int fill_section(struct sample *sample, unsigned serial, unsigned picture
                                             "fold, 2 % of region" };
     struct gsn_report_section *s = &sample->section[serial];
     const double turn = .25 * sin(serial * 1.7);
+    int r;
 
     *s = (struct gsn_report_section){
         .serial = serial,
@@ -192,6 +199,16 @@ static int fill_section(struct sample *sample, unsigned serial, unsigned picture
                                16 * cos(turn), -2050.5 },
         .predicted_tre_um = 1.4 + .3 * fabs(sin(serial)),
     };
+    for (int k = 0; k < 3; k++) {
+        static const double mark[3][2] = { { -.63, -.33 }, { .52, -.48 }, { -.46, .42 } };
+        const double way = serial + 2. * k;
+
+        s->onto_um[k] = (struct gsn_point){ 1500 * mark[k][0], 1500 * mark[k][1] };
+        s->off_um[k] = (struct gsn_point){ s->residual_um[k] * cos(way),
+                                           s->residual_um[k] * sin(way) };
+    }
+    s->tissue_apart_um = 6 + 3 * sin(serial);
+    s->tissue_limit_um = 31;
     if (serial == 17 || serial == 41) {
         s->state = "doubtful";
         s->flags = doubtful;
@@ -205,9 +222,12 @@ static int fill_section(struct sample *sample, unsigned serial, unsigned picture
         s->posed = 0;
         memset(s->marker_found, 0, sizeof s->marker_found);
     }
-    return picture_width && serial != 29
-               ? draw(section_colour, turn, picture_width / 3 + 1, &s->thumbnail)
-               : GSN_OK;
+    if (!picture_width || serial == 29)
+        return GSN_OK;
+    if (s->posed && (r = draw(aligned_colour, serial == 41 ? .06 : .004 * turn, picture_width / 3 + 1, picture_width / 3 + 1, &s->aligned)) < 0)
+        return r;
+    return draw(section_colour, turn, picture_width / 3 + 1, (picture_width / 3 + 1) * 7 / 8,
+                &s->thumbnail);
 }
 
 static void fill_panel(struct sample *sample, unsigned i)
@@ -252,7 +272,7 @@ static int fill_pictures(struct sample *sample, enum gsn_report_kind kind, unsig
         picture->title = text[i][1];
         picture->caption = text[i][2];
         r = draw(kind == GSN_REPORT_TILE && i == 0 ? section_colour : density_colour, i, width,
-                 &picture->png);
+                 width * 7 / 8, &picture->png);
     }
     return r;
 }
@@ -363,6 +383,8 @@ static int fill(struct sample *sample, enum gsn_report_kind kind, unsigned width
             fill_panel(sample, i);
         r->sections = sample->section;
         r->section_count = SECTIONS;
+        sample->aligned = (struct gsn_report_aligned){ { -1500, -1500 }, 3000. / (width / 3 + 1) };
+        r->aligned = width ? &sample->aligned : NULL;
         r->panels = sample->panel;
         r->panel_count = PANELS;
         r->registration = &sample->registration;
@@ -399,8 +421,10 @@ void sample_free(struct sample *sample)
 {
     if (!sample)
         return;
-    for (int i = 0; i < SECTIONS; i++)
+    for (int i = 0; i < SECTIONS; i++) {
         gsn_free((void *)(uintptr_t)sample->section[i].thumbnail.bytes);
+        gsn_free((void *)(uintptr_t)sample->section[i].aligned.bytes);
+    }
     for (int i = 0; i < PICTURES; i++)
         gsn_free((void *)(uintptr_t)sample->picture[i].png.bytes);
     gsn_free(sample);

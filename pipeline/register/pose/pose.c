@@ -24,11 +24,6 @@
 #include <math.h>
 #include <string.h>
 
-static double distance_between(struct gsn_point a, struct gsn_point b)
-{
-    return hypot(a.x - b.x, a.y - b.y);
-}
-
 /* Without a protocol's triangle, up is what most sections say. */
 static void turn_to_majority(struct gsn_procrustes *s)
 {
@@ -118,8 +113,12 @@ static void note_residuals(const struct gsn_procrustes_member *m,
     for (size_t i = 0, k = 0; i < GSN_FIDUCIALS; i++) {
         if (!m->input->marks[m->order[i]].found)
             continue;
-        pose->residual_um[i] =
-            distance_between(gsn_rigid_apply(motion, marks->from[k]), marks->onto[k]);
+        const struct gsn_point laid = gsn_rigid_apply(motion, marks->from[k]);
+
+        pose->onto_um[i] = marks->onto[k];
+        pose->off_um[i] =
+            (struct gsn_point){ laid.x - marks->onto[k].x, laid.y - marks->onto[k].y };
+        pose->residual_um[i] = hypot(pose->off_um[i].x, pose->off_um[i].y);
         sum += pose->residual_um[i] * pose->residual_um[i];
         k++;
     }

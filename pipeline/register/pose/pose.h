@@ -75,6 +75,8 @@ struct gsn_pose {
     struct gsn_affine panel_to_block_um; /* determinant px_um^2, negative when flipped */
     double residual_um[GSN_FIDUCIALS];   /* distance of each mark from the mean triangle's; 0 where
                                         it was not found */
+    struct gsn_point onto_um[GSN_FIDUCIALS]; /* where the common triangle has each mark, and how */
+    struct gsn_point off_um[GSN_FIDUCIALS];  /* far from it the section's lies: the residual's vector */
     double rms_um;                       /* root mean square of those found */
     double tre_um;                       /* predicted, root mean square over the targets */
     double chi2; /* of the residuals under the stack's covariance: 3 degrees of freedom with three

@@ -126,6 +126,28 @@ TEST(exact_marks_give_exact_poses)
     bench_done(&b);
 }
 
+TEST(a_residual_points_from_the_common_triangle_to_where_the_mark_is_laid)
+{
+    struct draw_chance chance = { 9 };
+    struct bench b = bench_new(40);
+
+    bench_fill(&b, MARKS, M_PI, 0.3, 9, &chance);
+    bench_solve(&b, &DECLARED);
+    for (size_t i = 0; i < b.count; i++)
+        for (size_t k = 0; k < 3; k++) {
+            const struct gsn_pose *pose = &b.pose[i];
+            const struct gsn_point laid = gsn_affine_apply(
+                &pose->panel_to_block_um, b.input[i].marks[pose->order[k]].px);
+
+            CHECK_NEAR(pose->onto_um[k].x, b.summary.mean_triangle[k].x, 1e-9);
+            CHECK_NEAR(pose->onto_um[k].y, b.summary.mean_triangle[k].y, 1e-9);
+            CHECK_NEAR(pose->onto_um[k].x + pose->off_um[k].x, laid.x, 1e-8);
+            CHECK_NEAR(pose->onto_um[k].y + pose->off_um[k].y, laid.y, 1e-8);
+            CHECK_NEAR(hypot(pose->off_um[k].x, pose->off_um[k].y), pose->residual_um[k], 1e-12);
+        }
+    bench_done(&b);
+}
+
 /* Fitzpatrick, West and Maurer in the plane: FRE = FLE/sqrt 2, TRE at 0, rho and 2 rho. */
 TEST(errors_at_marks_and_targets_follow_the_formulas)
 {

@@ -1,0 +1,35 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* The sections as they lie in the block, each as a small picture of the same square of it: what a
+ * person scrolls through to see whether a registration is to be believed.
+ *
+ * Panels are opened one after the other, so what each shows is gathered as it comes, and coded at
+ * the end, when it is known how well all of them can be kept in what they may weigh together. */
+#ifndef GSN_SPECIMEN_ALIGNED_PICTURES_H
+#define GSN_SPECIMEN_ALIGNED_PICTURES_H
+
+#include "pipeline/specimen/density_stack.h"
+#include "pipeline/specimen/scan.h"
+
+/* Bytes of all pictures together, so that a page with them stays below 4 MB. */
+enum { GSN_ALIGNED_BYTES = 600000 };
+
+/* Opaque. */
+struct gsn_aligned_pictures;
+
+/* gives: room for the pictures; NULL when fewer than two sections are used. Fails with
+ * GSN_E_NOMEM. */
+int gsn_aligned_pictures_new(const struct gsn_poses *poses,
+                             struct gsn_aligned_pictures **ret_pictures, struct gsn_error *err);
+void gsn_aligned_pictures_free(struct gsn_aligned_pictures *pictures);
+GSN_DEFINE_AUTO(gsn_aligned_pictures);
+
+/* Takes what an opened panel of this number shows; pictures may be NULL. Fails with GSN_E_NOMEM. */
+int gsn_aligned_pictures_look(struct gsn_aligned_pictures *pictures, const struct gsn_poses *poses,
+                              const struct gsn_scan *scan, unsigned panel, struct gsn_error *err);
+
+/* Codes them into the stack's sections; pictures may be NULL. Fails with GSN_E_NOMEM. */
+int gsn_aligned_pictures_code(const struct gsn_aligned_pictures *pictures,
+                              struct gsn_densities *densities, struct gsn_error *err);
+
+#endif

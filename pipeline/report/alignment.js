@@ -29,7 +29,7 @@ const roundDown = most => {
 /* So that most arrows are seen, and none but a gross one leaves the picture. */
 const typical = residuals[Math.floor(.9 * (residuals.length - 1))] || 0;
 const larger = typical > 0 ? Math.max(1, roundDown(.08 * wideUm / typical)) : 1;
-const SHAPES = ["--fuchsin", "--picric", "--blue"];
+const SHAPES = ["--fuchsin", "--picric", "--blue"], INKS = ["#a5184f", "#b07d00", "#2f6690"];
 
 /* ---- what is shown ---- */
 
@@ -121,7 +121,8 @@ function drawPictures(to) {
     to.restore();
   }
 }
-/* A mark's shape is the same in the chart of residuals. */
+/* A mark's shape is the same in the chart of residuals; on a picture, which is white in the dark
+ * too, its ink is the light page's. */
 function drawShape(to, mark, x, y, size) {
   to.beginPath();
   if (mark === 0) to.arc(x, y, size, 0, 2 * Math.PI);
@@ -138,7 +139,7 @@ function drawArrow(to, mark, i) {
   const tip = toScreen(mark[0] + larger * mark[2], mark[1] + larger * mark[3]);
   const long = Math.hypot(tip[0] - from[0], tip[1] - from[1]);
   const way = long > 0 ? tip.map((v, c) => (v - from[c]) / long) : [0, 0], head = Math.min(8, long);
-  for (const [style, width] of [["#fff", 5], [ink(SHAPES[i]), 2.2]]) {
+  for (const [style, width] of [["#fff", 5], [INKS[i], 2.2]]) {
     to.strokeStyle = style;
     to.lineWidth = width;
     to.lineJoin = to.lineCap = "round";
@@ -154,7 +155,7 @@ function drawArrow(to, mark, i) {
     }
     to.stroke();
   }
-  to.fillStyle = ink(SHAPES[i]);
+  to.fillStyle = INKS[i];
   to.textAlign = from[0] > wide / 2 ? "right" : "left";
   to.textBaseline = way[1] > 0 ? "bottom" : "top";
   write(to, off(mark).toFixed(1) + " µm", from[0] + (from[0] > wide / 2 ? -9 : 9),

@@ -97,6 +97,7 @@ int gsn_cmd_model(const struct gsn_ui *ui, int argc, char **argv)
     static const char *const valued[] = {
         "--level", "--step",    "--box",  "--plane", "--points",
         "--threads", "--surface", "--view", "--size",  "--window",
+        "--cells",
     };
     gsn_auto_mem(const char *) args = gsn_alloc_array((size_t)argc + 2, sizeof *args);
     size_t n = 0;

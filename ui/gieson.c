@@ -64,7 +64,7 @@ static const char doc[] =
     "  export SPECIMEN FILE\n"
     "                      its model for other programs: .vtkhdf .vtu .csv .stl\n"
     "                      .ply .glb .nrrd .nii.gz .ome.tif\n"
-    "  render SPECIMEN FILE.png\n"
+    "  render SPECIMEN... FILE.png\n"
     "                      a picture of its model: X-ray, translucent, surface\n"
     "  probe SPECIMEN X Y Z\n"
     "                      the model at a point, and the pixels it rests on\n"

@@ -107,12 +107,13 @@ static const struct gsn_help pages[] = {
       "  --whole              beyond the region too, as far as the model goes\n",
       "gieson export R07-left R07-left.stl --level 0.5\n"
       "gieson export R07-left R07-left.nrrd --step 12" },
-    { "render", "SPECIMEN FILE.png",
+    { "render", "SPECIMEN... FILE.png",
       "A picture of the model of its last run, by rays through the spline itself: the X-ray of the\n"
-      "region, unless an option says another. It ends where the region ends. A file that exists is\n"
-      "not written over.",
+      "region, unless an option says another. It ends where the region ends. Up to eight specimens\n"
+      "stand side by side, on one scale. A file that exists is not written over.",
       "  --translucent        emission and absorption, in the colours of the density\n"
       "  --surface V          where the density is V; cuts show the density\n"
+      "  --cells PERCENT      the model's cells apart, of that size, in the colours of their means\n"
       "  --window LOW,HIGH    densities of the colour scale, transparent to full\n"
       "                       (default: 0 to the greatest mean of a cell)\n"
       "  --view X,Y,Z         direction of the eye into the block; or x, y, z, corner (default)\n"
@@ -125,7 +126,8 @@ static const struct gsn_help pages[] = {
       "  --size PX            width and height (default: 640)\n"
       "  --whole              beyond the region too, as far as the model goes\n",
       "gieson render R07-left xray.png\n"
-      "gieson render R07-left cut.png --surface 0.5 --plane 0,0,300,0,0,-1" },
+      "gieson render R07-left cut.png --surface 0.5 --plane 0,0,300,0,0,-1\n"
+      "gieson render week0 week4 week8 weeks.png --surface 0.5" },
     { "probe", "SPECIMEN X Y Z",
       "The model at a point of the block, in micrometres: value, gradient, the cell around it "
       "with\n"

@@ -13,6 +13,7 @@
 #include "pipeline/core/grid.h"
 #include "pipeline/core/image.h"
 #include "pipeline/model/spline.h"
+#include "pipeline/render/block_axes.h"
 #include "pipeline/render/canvas.h"
 #include "pipeline/render/region_border.h"
 #include "pipeline/render/view.h"
@@ -54,10 +55,11 @@ struct gsn_trimesh_style {
     struct gsn_colour colour; /* of the surface; all 0: bone white */
     const char *title;        /* NULL: none */
     int outline;              /* 1: draw the domain's boundary edges faintly behind */
+    const struct gsn_block_box_um *box; /* whose axes are drawn; NULL: the cube alone */
 };
 
 /* gives: the picture: z-buffer, two-sided diffuse light with a soft highlight, 2x2 samples a pixel,
- * light grey background, scale bar. mesh frames the view and is outlined. style may be NULL.
+ * light grey background, scale bar, the block's cube. mesh frames the view and is outlined. style may be NULL.
  * Fails with GSN_E_INPUT on an unusable view, GSN_E_NOMEM. */
 int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *mesh,
                       const struct gsn_view *view, const struct gsn_trimesh_style *style,

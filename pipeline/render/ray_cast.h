@@ -11,6 +11,7 @@
 
 #include "pipeline/core/progress.h"
 #include "pipeline/model/spline.h"
+#include "pipeline/render/block_axes.h"
 #include "pipeline/render/canvas.h"
 #include "pipeline/render/region_border.h"
 #include "pipeline/render/view.h"
@@ -79,17 +80,20 @@ int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *ca
                     struct gsn_ray_picture **ret_picture,
                     struct gsn_error *err);
 
-/* gives: the sheet: the picture with title (may be NULL), axes of the block, scale bar, and a colour
- * scale from 0, or the smallest value below, to the largest, in "density x um" unless unit is given.
+/* gives: the sheet: the picture with title (may be NULL), the block's cube, the axes of box (NULL:
+ * none), scale bar, and a colour scale from 0, or the smallest value below, to the largest (or over range, unless NULL), in
+ * "density x um" unless unit is given.
  * Fails with GSN_E_NOMEM, and with GSN_E_NOTFOUND without the fonts (lettering.h). */
 int gsn_xray_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,
-                   const char *title, const char *unit, enum gsn_colour_map map,
-                   struct gsn_image **ret_image, struct gsn_error *err);
+                   const struct gsn_block_box_um *box, const double range[2], const char *title,
+                   const char *unit, enum gsn_colour_map map, struct gsn_image **ret_image,
+                   struct gsn_error *err);
 
-/* gives: the sheet: the picture on white, title, note, axes of the block, scale bar, and the
- * colour scale of the style. Fails alike. */
+/* gives: the sheet: the picture on white, title, note, the block's cube, the axes of box (NULL:
+ * none), scale bar, and the colour scale of the style. Fails alike. */
 int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera *camera,
-                  const struct gsn_ray_style *style, const char *title, const char *note,
+                  const struct gsn_ray_style *style, const struct gsn_block_box_um *box,
+                  const char *title, const char *note,
                   struct gsn_image **ret_image, struct gsn_error *err);
 
 #ifdef __cplusplus

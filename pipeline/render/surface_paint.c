@@ -311,6 +311,8 @@ int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *
     if (r < 0)
         return r;
     r = gsn_parallel_for((camera.height + BAND - 1) / BAND, threads, paint_band, &painting, err);
+    if (r >= 0)
+        r = gsn_block_axes_paint(sheet, painting.x, painting.y, &camera, style->box, err);
     if (r < 0)
         return r;
     *ret_image = gsn_steal(&sheet);

@@ -407,14 +407,16 @@ static int draw_xray(const struct gsn_mask *region, const struct gsn_border *bor
                                        .border_step_um = fmin(step.x, fmin(step.y, step.z)) };
     gsn_auto(gsn_plane) plane = NULL;
     gsn_auto(gsn_image) image = NULL;
+    struct gsn_block_box_um box;
     struct gsn_camera camera;
     int r = gsn_camera_frame(&view, gsn_dms_mesh(analysis->space), &camera, err);
 
+    gsn_mask_box(region, box.low, box.high);
     if (r >= 0)
         r = gsn_ray_xray(analysis->spline, &camera, &clip, &style, options->threads,
                          options->progress, &plane, err);
     if (r >= 0)
-        r = gsn_xray_paint(plane, &camera, NULL, unit, GSN_MAP_GREY, &image, err);
+        r = gsn_xray_paint(plane, &camera, &box, NULL, NULL, unit, GSN_MAP_GREY, &image, err);
     if (r >= 0)
         r = encode_picture(image, picture, err);
     if (r < 0)
@@ -426,20 +428,24 @@ static int draw_xray(const struct gsn_mask *region, const struct gsn_border *bor
     return GSN_OK;
 }
 
-static int draw_surface(const struct gsn_border *border, const struct gsn_analysis_options *options,
+static int draw_surface(const struct gsn_mask *region, const struct gsn_border *border,
+                        const struct gsn_analysis_options *options,
                         struct gsn_analysis *analysis, struct gsn_error *err)
 {
     struct gsn_png_picture *picture = next_picture(analysis, "isosurface", "Isosurface");
     const double level = analysis->bound[analysis->bound_count / 2].threshold;
     const struct gsn_tets *mesh = gsn_dms_mesh(analysis->space);
     const struct gsn_view view = view_of(SURFACE_PX);
+    struct gsn_block_box_um box;
+    const struct gsn_trimesh_style style = { .box = &box };
     gsn_auto(gsn_trimesh) triangles = NULL;
     gsn_auto(gsn_image) image = NULL;
     int r = gsn_isosurface(analysis->spline, level, border, mesh->tet_count > 40000 ? 0 : 1,
                            options->threads, &triangles, err);
 
+    gsn_mask_box(region, box.low, box.high);
     if (r >= 0)
-        r = gsn_trimesh_paint(triangles, mesh, &view, NULL, options->threads, &image, err);
+        r = gsn_trimesh_paint(triangles, mesh, &view, &style, options->threads, &image, err);
     if (r >= 0)
         r = encode_picture(image, picture, err);
     if (r < 0)
@@ -478,7 +484,7 @@ static int draw_pictures(const struct gsn_grid *grid, const struct gsn_mask *reg
         r = draw_xray(region, border, options,
                       protocol->kind == GSN_KIND_VOLUME ? "value x um" : NULL, analysis, err);
     gsn_progress_say(options->progress, "pictures", 4, 5);
-    return r < 0 ? r : draw_surface(border, options, analysis, err);
+    return r < 0 ? r : draw_surface(region, border, options, analysis, err);
 }
 
 /* ---- together ---------------------------------------------------------------------------- */

@@ -15,7 +15,7 @@
  *     gieson-work --store DIR study [NAME]  makes the page of a study, or of all
  *     gieson-work plan                      how many animals a difference needs
  *     gieson-work --store DIR export SPECIMEN FILE        the model for other programs
- *     gieson-work --store DIR render SPECIMEN FILE.png    a picture of the model
+ *     gieson-work --store DIR render SPECIMEN... FILE.png a picture of the model
  *     gieson-work --store DIR probe SPECIMEN X Y Z        the model at a point,
  *     gieson-work --store DIR line SPECIMEN X1 ... Z2     along a segment,
  *     gieson-work --store DIR index         the front page of the store
@@ -147,6 +147,7 @@ enum {
     OPT_PLANE,
     OPT_TRANSLUCENT,
     OPT_SURFACE,
+    OPT_CELLS,
     OPT_VIEW,
     OPT_SIZE,
     OPT_WINDOW,
@@ -200,6 +201,7 @@ static const struct argp_option options[] = {
       "integral: over the region on a plane; render: the normal's side is cut away", 1 },
     { "translucent", OPT_TRANSLUCENT, NULL, 0, "render: emission and absorption", 1 },
     { "surface", OPT_SURFACE, "V", 0, "render: where the density is V", 1 },
+    { "cells", OPT_CELLS, "PERCENT", 0, "render: cells apart, of that size", 1 },
     { "view", OPT_VIEW, "X,Y,Z", 0, "render: x, y, z, corner, or a direction into the block", 1 },
     { "size", OPT_SIZE, "PX", 0, "render: width and height (default 640)", 1 },
     { "window", OPT_WINDOW, "LOW,HIGH", 0, "render: densities of the colour scale", 1 },
@@ -338,6 +340,9 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case OPT_SURFACE:
         request->surface = arg;
+        return 0;
+    case OPT_CELLS:
+        request->cells = arg;
         return 0;
     case OPT_VIEW:
         request->view = arg;

@@ -19,7 +19,7 @@ struct gsn_work_request {
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *spacing_unit, *marks, *px_um, *radius,
         *journal, *because, *difference, *sd, *power, *step, *box, *plane, *points, *publish,
-        *surface, *view, *size, *window;
+        *surface, *cells, *view, *size, *window;
     json_t *thresholds, *levels;
 };
 

@@ -617,7 +617,7 @@ static int once(const struct kuhn *kuhn, struct gsn_error *err)
     if (r == GSN_OK)
         r = gsn_ray_volume(kuhn->spline, &camera, NULL, &style, 1, NULL, &picture, err);
     if (r == GSN_OK)
-        r = gsn_ray_paint(picture, &camera, &style, "title", "note", &image, err);
+        r = gsn_ray_paint(picture, &camera, &style, NULL, "title", "note", &image, err);
     return r;
 }
 

@@ -24,9 +24,10 @@ static const struct gsn_colour axis_ink[3] = { { 176, 60, 40 }, { 30, 120, 80 },
 static const struct gsn_colour edge_ink = { 90, 94, 102 }, number_ink = { 60, 64, 72 };
 static const struct gsn_colour paper = { 255, 255, 255 };
 
-/* Pixels: from the middle of the cube to the corner of the picture, half a side, how much longer an
+/* Pixels, of a picture of FULL_PX or more; the cube of a smaller one is smaller: from the middle of the cube to the corner of the picture, half a side, how much longer an
  * axis is than a side, letters. */
-static const double CORNER_PX = 44, HALF_PX = 15, LONGER_PX = 11, LETTER_PX = 12, NUMBER_PX = 10.5;
+static const double CORNER_PX = 44, HALF_PX = 15, LONGER_PX = 11, LETTER_PX = 12, NUMBER_PX = 10.5,
+                    FULL_PX = 400;
 enum { LEAST_PX = 240 }; /* narrower pictures have no room for numbers */
 
 struct painter {
@@ -34,13 +35,14 @@ struct painter {
     const struct gsn_camera *camera;
     struct gsn_lettering *letters;
     double at[2]; /* the middle of the cube */
+    double half;  /* of its side */
 };
 
 /* A place of the cube, whose sides go from -1 to 1. */
 static void place_of(const struct painter *p, const double place[3], double ret_px[2])
 {
-    ret_px[0] = p->at[0] + HALF_PX * gsn_dot3(place, p->camera->right);
-    ret_px[1] = p->at[1] + HALF_PX * gsn_dot3(place, p->camera->down);
+    ret_px[0] = p->at[0] + p->half * gsn_dot3(place, p->camera->right);
+    ret_px[1] = p->at[1] + p->half * gsn_dot3(place, p->camera->down);
 }
 
 /* Fills the face on this side of an axis: the square around its middle along two other axes. */
@@ -48,13 +50,13 @@ static void fill_face(const struct painter *p, int axis, double side)
 {
     enum { PARTS = 4 };
     const int b = (axis + 1) % 3, c = (axis + 2) % 3;
-    const double u[2] = { HALF_PX * p->camera->right[b], HALF_PX * p->camera->down[b] };
-    const double v[2] = { HALF_PX * p->camera->right[c], HALF_PX * p->camera->down[c] };
+    const double u[2] = { p->half * p->camera->right[b], p->half * p->camera->down[b] };
+    const double v[2] = { p->half * p->camera->right[c], p->half * p->camera->down[c] };
     const double det = u[0] * v[1] - u[1] * v[0];
     /* The more it looks at the eye, the lighter. */
     const uint8_t grey = (uint8_t)(188 + 54 * fabs(p->camera->into[axis]));
     double middle[3] = { 0, 0, 0 }, at[2];
-    const int reach = (int)(2 * HALF_PX);
+    const int reach = (int)(2 * p->half);
 
     middle[axis] = side;
     place_of(p, middle, at);
@@ -300,9 +302,12 @@ int gsn_block_axes_paint(struct gsn_image *sheet, int x, int y, const struct gsn
                          const struct gsn_block_box_um *box, struct gsn_error *err)
 {
     gsn_auto(gsn_lettering) letters = NULL;
+    const double scale = fmin(1, camera->width / FULL_PX);
     struct painter p = { .sheet = sheet,
                          .camera = camera,
-                         .at = { (double)x + camera->width - CORNER_PX, y + CORNER_PX } };
+                         .at = { (double)x + camera->width - scale * CORNER_PX,
+                                 y + scale * CORNER_PX },
+                         .half = scale * HALF_PX };
     int r = gsn_lettering_new(GSN_FONT_FOLDER, &letters, err);
 
     p.letters = letters;

@@ -164,6 +164,42 @@ static const char *read_request(struct render *e)
 
 /* ---- what is seen -------------------------------------------------------------------------- */
 
+/* Means of the cells: as the model keeps them, which is of those with tissue of the region; or, where
+ * it keeps none or all of the domain is shown, of the spline. */
+static int find_means(const struct render *e, struct scene *s, struct gsn_error *err)
+{
+    const size_t cells = gsn_dms_mesh(s->model->space)->tet_count;
+    const double *kept = e->request->whole ? NULL : s->model->cells.density;
+
+    s->mean = gsn_alloc_array(cells, sizeof *s->mean);
+    if (!s->mean)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the means of %zu cells", cells);
+    for (size_t t = 0; t < cells; t++) {
+        s->mean[t] = kept ? kept[t] : NAN;
+        if (!kept)
+            (void)gsn_spline_tet_mean(s->model->spline, t, &s->mean[t], NULL);
+    }
+    return GSN_OK;
+}
+
+/* Around the cells that are shown, which reach beyond the region. */
+static void frame_cells(struct scene *s)
+{
+    const struct gsn_tets *mesh = gsn_dms_mesh(s->model->space);
+
+    for (size_t t = 0; t < mesh->tet_count; t++) {
+        if (isnan(s->mean[t]))
+            continue;
+        for (int k = 0; k < 4; k++)
+            for (int c = 0; c < 3; c++) {
+                const double at = mesh->vertex[mesh->tet[t][k]][c];
+
+                s->box.low[c] = fmin(s->box.low[c], at);
+                s->box.high[c] = fmax(s->box.high[c], at);
+            }
+    }
+}
+
 static int find_scene(struct render *e, struct scene *s, struct gsn_error *err)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(s->model->space);
@@ -187,7 +223,9 @@ static int find_scene(struct render *e, struct scene *s, struct gsn_error *err)
             high[c] = fmax(high[c], mesh->vertex[v][c]);
         }
     }
-    if (region) {
+    if (region && e->cells > 0) {
+        frame_cells(s);
+    } else if (region) {
         const struct gsn_vec3 step = region->at.step_um;
 
         gsn_mask_box(region, low, high);
@@ -207,24 +245,6 @@ static int find_scene(struct render *e, struct scene *s, struct gsn_error *err)
     return gsn_border_new(region, e->request->threads, &s->border, err);
 }
 
-/* Means of the cells: as the model keeps them, which is of those with tissue of the region; or, where
- * it keeps none or all of the domain is shown, of the spline. */
-static int find_means(const struct render *e, struct scene *s, struct gsn_error *err)
-{
-    const size_t cells = gsn_dms_mesh(s->model->space)->tet_count;
-    const double *kept = e->request->whole ? NULL : s->model->cells.density;
-
-    s->mean = gsn_alloc_array(cells, sizeof *s->mean);
-    if (!s->mean)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the means of %zu cells", cells);
-    for (size_t t = 0; t < cells; t++) {
-        s->mean[t] = kept ? kept[t] : NAN;
-        if (!kept)
-            (void)gsn_spline_tet_mean(s->model->spline, t, &s->mean[t], NULL);
-    }
-    return GSN_OK;
-}
-
 static int open_scene(struct render *e, struct scene *s, struct gsn_error *err)
 {
     int r = gsn_kept_run_open(e->store, s->name, &s->kept, err);
@@ -232,9 +252,9 @@ static int open_scene(struct render *e, struct scene *s, struct gsn_error *err)
     if (r >= 0)
         r = gsn_kept_run_model(e->store, s->kept, &s->model, err);
     if (r >= 0)
-        r = find_scene(e, s, err);
-    if (r >= 0)
         r = find_means(e, s, err);
+    if (r >= 0)
+        r = find_scene(e, s, err);
     return r < 0 && e->scenes > 1 ? gsn_fail_at(err, "%s", s->name) : r;
 }
 

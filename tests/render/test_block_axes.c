@@ -189,7 +189,7 @@ TEST(a_small_picture_has_the_cube_and_no_numbers)
     gsn_auto(gsn_image) without = painted(&camera, NULL);
 
     assert_memory_equal(with->samples, without->samples, gsn_image_bytes(with));
-    CHECK(!is_like(with, 10 + 200 - CORNER_PX, 15 + CORNER_PX, grey, 20));
+    CHECK(!is_like(with, 10 + 200 - CORNER_PX / 2, 15 + CORNER_PX / 2, grey, 20)); /* half as large */
 }
 
 static int once(const struct gsn_camera *camera, struct gsn_error *err)

@@ -182,13 +182,13 @@ static int find_means(const struct render *e, struct scene *s, struct gsn_error 
     return GSN_OK;
 }
 
-/* Around the cells that are shown, which reach beyond the region. */
-static void frame_cells(struct scene *s)
+/* Around the cells that are shown, which reach beyond the region; low: NaN, or less is not shown. */
+static void frame_cells(struct scene *s, double low)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(s->model->space);
 
     for (size_t t = 0; t < mesh->tet_count; t++) {
-        if (isnan(s->mean[t]))
+        if (isnan(s->mean[t]) || s->mean[t] < low)
             continue;
         for (int k = 0; k < 4; k++)
             for (int c = 0; c < 3; c++) {
@@ -224,7 +224,7 @@ static int find_scene(struct render *e, struct scene *s, struct gsn_error *err)
         }
     }
     if (region && e->cells > 0) {
-        frame_cells(s);
+        frame_cells(s, e->style.low);
     } else if (region) {
         const struct gsn_vec3 step = region->at.step_um;
 
@@ -235,6 +235,8 @@ static int find_scene(struct render *e, struct scene *s, struct gsn_error *err)
         low[c] = fmax(low[c], s->clip.low[c]);
         high[c] = fmin(high[c], s->clip.high[c]);
     }
+    if (e->cells > 0 && !(low[0] < high[0]))
+        return gsn_fail(err, GSN_E_INPUT, "no cell of the window's densities lies in what is shown");
     for (int c = 0; c < 3; c++) {
         if (!(low[c] < high[c]))
             return gsn_fail(err, GSN_E_INPUT, "nothing of %s lies in the box",

@@ -304,6 +304,8 @@ class Refusals(Model):
         out = self.folder / "a.png"
         self.assertIn("nothing of the region lies in the box",
                       self.complaint(65, "render", "block", out, "--box", "900,900,900,999,999,999"))
+        self.assertIn("no cell of the window's densities",
+                      self.complaint(65, "render", "block", out, "--cells", 50, "--window", "7,8"))
         self.assertIn("has no normal", self.complaint(65, "render", "block", out, "--plane", "0,0,0,0,0,0"))
         self.assertIn("no direction", self.complaint(65, "render", "block", out, "--view", "0,0,0"))
         self.assertFalse(out.exists())

@@ -8,7 +8,8 @@
  * distances to both, interpolated linearly.
  *
  * 1. The features of a FeatureCollection, of a list, a single one, or a bare geometry; of one
- *    classification, which the job names where the file has several.
+ *    classification, which the job names where the file has several. Selections of ImageJ come as
+ *    such a collection (imagej_roi.c).
  * 2. Each polygon is checked: rings of four points or more that are closed, within the picture,
  *    and do not cross; its holes lie in it. Its pixels are those whose centres are inside. Polygons
  *    of a plane are joined.
@@ -26,6 +27,7 @@
 #include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/imaging/morphology.h"
+#include "pipeline/specimen/imagej_roi.h"
 
 #include <jansson.h>
 #include <math.h>
@@ -552,7 +554,7 @@ int gsn_drawn_region_read(const struct gsn_region *region, const char *text, siz
     gsn_auto_mem(uint8_t) planes = gsn_alloc_array(at->nx * at->ny + at->nz, 1);
     struct drawing d = { .region = region, .scratch = planes };
     json_error_t where;
-    json_t *root;
+    json_t *root = NULL;
     int r = planes ? gsn_mask_new(at, &mask, err)
                    : gsn_fail(err, GSN_E_NOMEM, "out of memory for a drawn region");
 
@@ -560,12 +562,20 @@ int gsn_drawn_region_read(const struct gsn_region *region, const char *text, siz
         return r;
     d.is_drawn = planes + at->nx * at->ny;
     d.mask = mask;
-    root = json_loadb(text, size, 0, &where);
+    if (gsn_imagej_roi_is(text, size)) {
+        r = gsn_imagej_roi_read(region->file, text, size, at->nz, &root, err);
+    } else {
+        root = json_loadb(text, size, 0, &where);
+        if (!root)
+            r = gsn_fail(
+                err, GSN_E_INPUT,
+                "%s: line %d: %s: it is not GeoJSON, which the menu File of QuPath exports, "
+                "nor a .roi or RoiSet.zip of ImageJ",
+                region->file, where.line, where.text);
+    }
     d.root = root;
-    r = root ? draw_all(&d, err)
-             : gsn_fail(err, GSN_E_INPUT,
-                        "%s: line %d: %s: it is not GeoJSON, which the menu File of QuPath exports",
-                        region->file, where.line, where.text);
+    if (r >= 0)
+        r = draw_all(&d, err);
     json_decref(root);
     if (r < 0)
         return r;

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* A region that a person drew on sections of the exported stack: outlines in GeoJSON, as QuPath
- * writes them, made a mask.
+ * writes them, or selections of ImageJ, made a mask.
  *
  * A point is in pixels of the stack, (0, 0) the outer corner of its first pixel: x pixels are
  * origin_um.x + (x - 0.5) step_um.x in the block. plane.z of a geometry is the plane of the stack,

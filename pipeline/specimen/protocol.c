@@ -215,9 +215,10 @@ static int read_band(const json_t *band, const char *key, struct gsn_region *reg
 }
 
 static const char DRAWN[] =
-    "{\"kind\": \"drawn\", \"file\": a GeoJSON file, \"stack\": {\"size\": [nx,ny,nz], "
-    "\"pixel_um\": [x,y,z] with x = y, \"origin_um\": [x,y,z]}}, with or without \"class\": a "
-    "classification; `gieson export SPECIMEN FILE.ome.tif` prints the \"stack\" of its file";
+    "{\"kind\": \"drawn\", \"file\": a file of GeoJSON or ImageJ, \"stack\": {\"size\": "
+    "[nx,ny,nz], \"pixel_um\": [x,y,z] with x = y, \"origin_um\": [x,y,z]}}, with or without "
+    "\"class\": a classification; `gieson export SPECIMEN FILE.ome.tif` prints the \"stack\" of "
+    "its file";
 
 /* The stack that outlines were drawn on, as export describes it; its voxels fit into a mask. */
 static int read_stack(const json_t *stack, struct gsn_lattice *ret_at)

@@ -43,6 +43,7 @@ LAYERS = {
 FOREIGN = {
     r"sqlite3\.h": r"^storage/",
     r"opencv2/.*": r"^pipeline/imaging/",
+    r"zip\.h": r"^pipeline/specimen/imagej_roi\.c$",
     r"dmtx\.h": r"^pipeline/(decode/codes|phantom/label)\.c$",
     r"zbar\.h": r"^pipeline/decode/codes\.c$",
     r"gsl/.*": r"^pipeline/core/(linalg|robust|distributions|gsl_door)\.c$",

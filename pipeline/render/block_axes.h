@@ -17,6 +17,9 @@ struct gsn_block_box_um {
     double low[3], high[3];
 };
 
+/* How much of a picture a scene may take, so that the numbers of its axes have room beside it. */
+#define GSN_BLOCK_AXES_SHARE 0.84
+
 /* The edge of the box along which an axis (0, 1, 2) is drawn: of those on the outline of the box as
  * it is seen the lowest in the picture, or leftmost where they are upright. From the lower end to the
  * upper. 0: there is none, for the axis points at the eye. */

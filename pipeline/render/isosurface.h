@@ -59,7 +59,8 @@ struct gsn_trimesh_style {
 };
 
 /* gives: the picture: z-buffer, two-sided diffuse light with a soft highlight, 2x2 samples a pixel,
- * light grey background, scale bar, the block's cube. mesh frames the view and is outlined. style may be NULL.
+ * light grey background, scale bar, the block's cube. mesh frames the view and is outlined where style asks
+ * for it: without, its vertices are enough. style may be NULL.
  * Fails with GSN_E_INPUT on an unusable view, GSN_E_NOMEM. */
 int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *mesh,
                       const struct gsn_view *view, const struct gsn_trimesh_style *style,

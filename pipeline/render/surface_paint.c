@@ -293,7 +293,9 @@ int gsn_trimesh_paint(const struct gsn_trimesh *surface, const struct gsn_tets *
         painting.colour = bone;
     plate.title = style->title;
     plate.um_per_px = 1.0 / camera.px_per_um;
-    plate.note = camera.eye_um > 0.0 ? "perspective; scale at the middle" : NULL;
+    plate.note = camera.eye_um > 0.0 ? "perspective; scale at the middle"
+                 : style->box        ? "axes in \xc2\xb5m"
+                                     : NULL;
     r = gsn_plate_new(&plate, camera.width, camera.height, &sheet, &painting.x, &painting.y, err);
     if (r < 0)
         return r;

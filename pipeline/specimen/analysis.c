@@ -394,6 +394,18 @@ static struct gsn_view view_of(uint32_t px)
     };
 }
 
+/* The region's box, and corners as far apart that its axes' numbers have room beside it. */
+static void find_scene(const struct gsn_mask *region, struct gsn_block_box_um *box,
+                       double ret_corner[8][3])
+{
+    gsn_mask_box(region, box->low, box->high);
+    for (int k = 0; k < 8; k++)
+        for (int c = 0; c < 3; c++)
+            ret_corner[k][c] = 0.5 * (box->low[c] + box->high[c]) +
+                               0.5 * (k >> c & 1 ? 1 : -1) * (box->high[c] - box->low[c]) /
+                                   GSN_BLOCK_AXES_SHARE;
+}
+
 /* Of the region alone, whose border is smooth; several rays a pixel make it so in the picture. */
 static int draw_xray(const struct gsn_mask *region, const struct gsn_border *border,
                      const struct gsn_analysis_options *options, const char *unit,
@@ -407,11 +419,14 @@ static int draw_xray(const struct gsn_mask *region, const struct gsn_border *bor
                                        .border_step_um = fmin(step.x, fmin(step.y, step.z)) };
     gsn_auto(gsn_plane) plane = NULL;
     gsn_auto(gsn_image) image = NULL;
+    double corner[8][3];
+    const struct gsn_tets scene = { .vertex_count = 8, .vertex = corner };
     struct gsn_block_box_um box;
     struct gsn_camera camera;
-    int r = gsn_camera_frame(&view, gsn_dms_mesh(analysis->space), &camera, err);
+    int r;
 
-    gsn_mask_box(region, box.low, box.high);
+    find_scene(region, &box, corner);
+    r = gsn_camera_frame(&view, &scene, &camera, err);
     if (r >= 0)
         r = gsn_ray_xray(analysis->spline, &camera, &clip, &style, options->threads,
                          options->progress, &plane, err);
@@ -436,6 +451,8 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
     const double level = analysis->bound[analysis->bound_count / 2].threshold;
     const struct gsn_tets *mesh = gsn_dms_mesh(analysis->space);
     const struct gsn_view view = view_of(SURFACE_PX);
+    double corner[8][3];
+    const struct gsn_tets scene = { .vertex_count = 8, .vertex = corner };
     struct gsn_block_box_um box;
     const struct gsn_trimesh_style style = { .box = &box };
     gsn_auto(gsn_trimesh) triangles = NULL;
@@ -443,9 +460,9 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
     int r = gsn_isosurface(analysis->spline, level, border, mesh->tet_count > 40000 ? 0 : 1,
                            options->threads, &triangles, err);
 
-    gsn_mask_box(region, box.low, box.high);
+    find_scene(region, &box, corner);
     if (r >= 0)
-        r = gsn_trimesh_paint(triangles, mesh, &view, &style, options->threads, &image, err);
+        r = gsn_trimesh_paint(triangles, &scene, &view, &style, options->threads, &image, err);
     if (r >= 0)
         r = encode_picture(image, picture, err);
     if (r < 0)

@@ -29,9 +29,6 @@
 
 enum { USUAL_PX = 640, LEAST_PX = 64, MOST_PX = 4096, MOST_SCENES = 8 };
 
-/* Of the picture is for the scene, the rest for its axes' numbers. */
-static const double SCENE_SHARE = 0.84;
-
 /* One model, and what is seen of it. */
 struct scene {
     const char *name; /* of the specimen */
@@ -301,7 +298,7 @@ static int frame_scenes(struct render *e, struct gsn_error *err)
         scale = fmin(scale, s->camera.px_per_um);
     }
     for (int i = 0; i < e->scenes; i++)
-        e->scene[i].camera.px_per_um = SCENE_SHARE * scale;
+        e->scene[i].camera.px_per_um = GSN_BLOCK_AXES_SHARE * scale;
     /* Light through a tenth of the scene of the window's upper end: the inner shows through. */
     e->style.opaque_um = across / 10;
     return GSN_OK;

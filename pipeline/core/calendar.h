@@ -19,6 +19,9 @@ int gsn_calendar_day(const char *text, long *ret_day, struct gsn_error *err);
 /* Milliseconds of a clock that nobody sets (CLOCK_MONOTONIC); its beginning means nothing. */
 int64_t gsn_now_ms(void);
 
+/* Milliseconds of the processor that this process has used, all its threads together. */
+double gsn_process_cpu_ms(void);
+
 #ifdef __cplusplus
 }
 #endif

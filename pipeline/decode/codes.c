@@ -12,8 +12,8 @@
  * '?'.
  *
  * Failure: GSN_E_NOMEM; a picture without codes is none. Both libraries parse what a stranger
- * sends, so this runs in gieson-decode alone. Cost: tries are bounded in number, so that every
- * machine finds the same, and in time. */
+ * sends, so this runs in gieson-decode alone. Cost: tries are bounded in number and in processor
+ * time, never by the clock on the wall: a busy machine finds the same. */
 #include "pipeline/decode/codes.h"
 
 #include "pipeline/core/calendar.h"
@@ -29,7 +29,7 @@
 struct code_page {
     uint32_t width, height;
     uint8_t *grey;
-    int64_t until_ms; /* of gsn_now_ms(): then the search is given up */
+    double until_cpu_ms; /* of gsn_process_cpu_ms(): then the search is given up */
 };
 
 /* --- Data Matrix --- */
@@ -37,7 +37,7 @@ struct code_page {
 /* The library looks for edges on a grid: a symbol of ten modules of two pixels is met by it. What
  * looks like a symbol and is none costs time: tries are counted, so that the same picture has the
  * same codes on every machine, and timed, so that a picture without codes holds up nobody. */
-enum { SCAN_GAP = 8, MOST_TRIES = 60 };
+enum { SCAN_GAP = 8, MOST_TRIES = 60, SLICE_MS = 50 };
 
 /* Degrees, clockwise on the picture, by which the symbol's base is turned; the library's y runs
  * up. */
@@ -50,15 +50,35 @@ static double data_matrix_turn(DmtxRegion *region)
     return atan2(-(base[1].Y - base[0].Y), base[1].X - base[0].X) * 180 / M_PI;
 }
 
-/* One look at the page, for so many milliseconds. Returns how many codes were added. */
-static int scan_data_matrix(DmtxDecode *decoder, int mirrored, long most_ms,
+static int is_given_up(const struct code_page *page)
+{
+    return gsn_process_cpu_ms() >= page->until_cpu_ms;
+}
+
+/* The library knows the clock on the wall alone, so it searches for a slice of time, and then goes on
+ * where it stopped. */
+static DmtxRegion *find_region(DmtxDecode *decoder, const struct code_page *page)
+{
+    DmtxRegion *region = NULL;
+    int ended = 0;
+
+    while (!region && !ended && !is_given_up(page)) {
+        DmtxTime until = dmtxTimeAdd(dmtxTimeNow(), SLICE_MS);
+
+        region = dmtxRegionFindNext(decoder, &until);
+        ended = !dmtxTimeExceeded(until);
+    }
+    return region;
+}
+
+/* One look at the page. Returns how many codes were added. */
+static int scan_data_matrix(DmtxDecode *decoder, const struct code_page *page, int mirrored,
                             struct gsn_picture *picture)
 {
-    DmtxTime until = dmtxTimeAdd(dmtxTimeNow(), most_ms);
     int added = 0;
 
     for (int tries = 0; tries < MOST_TRIES; tries++) {
-        DmtxRegion *region = dmtxRegionFindNext(decoder, &until);
+        DmtxRegion *region = find_region(decoder, page);
         DmtxMessage *message;
         struct gsn_printed *code = NULL;
 
@@ -98,8 +118,7 @@ static int look_flipped(const struct code_page *page, int mirrored, struct gsn_p
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
     }
     (void)dmtxDecodeSetProp(decoder, DmtxPropScanGap, SCAN_GAP);
-    *ret_added =
-        scan_data_matrix(decoder, mirrored, (long)(page->until_ms - gsn_now_ms()), picture);
+    *ret_added = scan_data_matrix(decoder, page, mirrored, picture);
     (void)dmtxDecodeDestroy(&decoder);
     (void)dmtxImageDestroy(&image);
     return GSN_OK;
@@ -114,7 +133,7 @@ static int find_data_matrices(const struct code_page *page, struct gsn_picture *
     int added = 0, r = GSN_OK;
 
     for (int mirrored = 0; r >= 0 && !added && mirrored < 2; mirrored++)
-        if (gsn_now_ms() < page->until_ms)
+        if (!is_given_up(page))
             r = look_flipped(page, mirrored, picture, &added, err);
     return r;
 }
@@ -189,8 +208,8 @@ enum {
     CHANGES_ONE = 3 * BLOCK / 2,
 };
 
-/* A label is read within a fifth of a second. What looks like print for so long is none. */
-static const int64_t MOST_MS = 4000;
+/* A label takes a fifth of a second of the processor. What looks like print for so long is none. */
+static const double MOST_CPU_MS = 4000;
 
 struct gsn_printed *gsn_codes_add(struct gsn_picture *picture, const char *kind, const void *text,
                                   size_t size)
@@ -340,7 +359,7 @@ static int read_area(const struct code_page *page, const struct area *area,
     const uint32_t y1 = below < page->height ? below : page->height;
     const struct code_page part = { .width = x1 - x0,
                                     .height = y1 - y0,
-                                    .until_ms = page->until_ms };
+                                    .until_cpu_ms = page->until_cpu_ms };
     struct code_page copy = part;
     gsn_auto_mem(uint8_t) grey = gsn_alloc((size_t)part.width * part.height);
 
@@ -365,7 +384,7 @@ static int read_areas(const struct code_page *page, struct gsn_picture *picture,
     blocks.print = print;
     find_print(page, &blocks);
     for (uint32_t i = 0; i < blocks.width * blocks.height && areas < MOST_AREAS && r >= 0 &&
-                         gsn_now_ms() < page->until_ms;
+                         !is_given_up(page);
          i++) {
         struct area area;
 
@@ -388,7 +407,7 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
     const unsigned step = (longest + LONGEST - 1) / LONGEST;
     struct code_page page = { .width = image->width / step,
                               .height = image->height / step,
-                              .until_ms = gsn_now_ms() + MOST_MS };
+                              .until_cpu_ms = gsn_process_cpu_ms() + MOST_CPU_MS };
     gsn_auto_mem(uint8_t) grey = NULL;
     int r;
 
@@ -402,7 +421,7 @@ int gsn_codes_read(struct gsn_picture *picture, struct gsn_error *err)
             grey[(size_t)y * page.width + x] = mean_brightest(image, x * step, y * step, step);
     page.grey = grey;
     r = longest <= SMALL ? read_page(&page, picture, err) : read_areas(&page, picture, err);
-    if (r >= 0 && picture->code_count == 0 && gsn_now_ms() >= page.until_ms)
+    if (r >= 0 && picture->code_count == 0 && is_given_up(&page))
         gsn_picture_remark(picture, "no code was found within the time for it: much on this "
                                     "picture looks like print");
     return r;

@@ -17,6 +17,7 @@
  * triangle and may not be placed by tissue. */
 #include "pipeline/folder/register_folder.h"
 
+#include "pipeline/core/calendar.h"
 #include "pipeline/core/file.h"
 #include "pipeline/core/robust.h"
 #include "pipeline/decode/apart.h"
@@ -41,7 +42,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
-#include <time.h>
 
 /* One section while the stack is worked. */
 struct section_work {
@@ -67,14 +67,6 @@ struct folder_job {
 enum { TISSUE_CELLS = 250 };
 
 /* ---- pictures ------------------------------------------------------------------------------- */
-
-static double process_cpu_ms(void)
-{
-    struct timespec now;
-
-    (void)clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
-    return 1e3 * (double)now.tv_sec + 1e-6 * (double)now.tv_nsec;
-}
 
 static int is_picture(const struct dirent *entry)
 {
@@ -160,12 +152,12 @@ static int search_picture(struct folder_job *folder, const char *dir, size_t i,
     double began;
     int r = open_picture(folder, dir, i, &picture, &own);
 
-    began = process_cpu_ms();
+    began = gsn_process_cpu_ms();
     if (r >= 0)
         r = gsn_colour_candidates_find(picture->image, folder->px_um, &folder->work[i].spots, &own);
     if (r >= 0)
         r = look_at_tissue(folder, i, picture->image, &own);
-    folder->work[i].search_ms = process_cpu_ms() - began;
+    folder->work[i].search_ms = gsn_process_cpu_ms() - began;
     if (r == GSN_E_NOMEM || r == GSN_E_PROCESS)
         return gsn_fail(err, r, "%s: %s", section->file, own.text);
     if (r < 0)
@@ -712,7 +704,7 @@ static int register_folder(struct folder_job *folder, const char *dir, struct gs
 
     for (size_t i = 0; r >= 0 && i < folder->stack->count; i++)
         r = search_picture(folder, dir, i, err);
-    began = process_cpu_ms();
+    began = gsn_process_cpu_ms();
     if (r >= 0)
         r = choose_all_marks(folder, &own);
     if (r >= 0 || r == GSN_E_MARKERS)
@@ -728,7 +720,7 @@ static int register_folder(struct folder_job *folder, const char *dir, struct gs
     if (r >= 0 && folder->options->by_tissue)
         r = place_by_tissue(folder, err);
     folder->stack->cpu_ms =
-        median_search_ms(folder) + (process_cpu_ms() - began) / (double)folder->stack->count;
+        median_search_ms(folder) + (gsn_process_cpu_ms() - began) / (double)folder->stack->count;
     return r;
 }
 

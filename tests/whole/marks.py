@@ -160,9 +160,9 @@ def score(programs, folder, radius_um):
     corners = numpy.array([[0, 1000, 0], [0, 0, 1000], [1, 1, 1]])
     if not laid:
         return 0, 0, len(truth["slices"]), float("nan"), ""
-    # The frame is the answer's own: that on which most sections agree.
-    agree = [sum(abs((a - b)[:2] @ corners).max() < 3 for b in frames) for a in frames]
-    usual = numpy.linalg.inv(frames[int(numpy.argmax(agree))])
+    # The frame is the answer's own: the one nearest to most others.
+    apart = [sum(min(abs((a - b)[:2] @ corners).max(), 3) for b in frames) for a in frames]
+    usual = numpy.linalg.inv(frames[int(numpy.argmin(apart))])
     canon = numpy.hstack([truth["canon_px"], numpy.ones((3, 1))]).T
     limit, found, wrong, off = max(1.5, .15 * radius_um / truth["px"]), 0, 0, []
     for s in laid:

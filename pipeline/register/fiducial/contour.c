@@ -12,8 +12,8 @@
  * steps: normal equations of every sector from its pixels, rings far from the edge summed as a
  * whole; the sectors' levels eliminated, the unknowns moved; then the pixels' variance, the
  * sectors' weights and the descriptor's prior are learnt again. 5. The covariance, larger by how
- * much more than it says the sectors disagree. 6. Where a round outline leaves too much, that of an
- * oval (oval.h) is tried.
+ * much more than it says the sectors disagree. 6. Where a round outline leaves too much, or little of
+ * the rim agrees on it, that of an oval (oval.h) is tried.
  *
  * Fails when memory runs out; too few sectors that agree, or a fit that runs away, is a mark that
  * is not found. Pixels are summed in single precision, in loops
@@ -40,9 +40,11 @@ static const double SIGMAS = 1;
 /* Width of a sector along the rim, px: two to three pixels across carry one edge. */
 static const double SECTOR_PX = 2.5;
 static const double CONTRAST_MIN = 1e-4, SCORE_MIN = 0.25;
-/* An oval is believed where it leaves less than this share unexplained of what a round outline
- * leaves, and so much of its rim agrees. */
-static const double OVAL_LEAVES = 0.5, OVAL_RIM = 0.85;
+/* An oval is taken where so much of its rim agrees, and it leaves less than this share of what a
+ * round outline leaves unexplained, or, where less of the rim agrees on the round one, less than this
+ * share of its standard error: some two in three of an oval's sectors may lie on a circle beside its
+ * middle, which explains what it still looks at. A disc that lost an arc is no such oval. */
+static const double OVAL_LEAVES = 0.5, RIM_AGREES = 0.85;
 /* A burn's outline is round to some per cent of its radius (one standard deviation per lobe). */
 static const double DESCRIPTOR_SD = 0.04, DESCRIPTOR_SD_MIN = 0.002;
 /* Where Tukey's biweight cuts off, in standard deviations: 98 % efficient when nothing is wrong. */
@@ -861,6 +863,12 @@ static void clear_buffers(struct gsn_contour *fit, float *floats, int *cells, si
     fit->cell = cells;
 }
 
+/* Standard error of the centre, px; infinite for a mark that was not found. */
+static double find_error(const struct gsn_fiducial *mark)
+{
+    return mark->found ? sqrt(mark->cov_xx + mark->cov_yy) : INFINITY;
+}
+
 int gsn_contour_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
                     struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
@@ -871,17 +879,20 @@ int gsn_contour_fit(const struct gsn_plane *plane, struct gsn_point start, doubl
     gsn_auto_mem(struct gsn_contour) fit = gsn_alloc_array(1, sizeof *fit);
     struct gsn_fiducial mark = { 0 }, oval = { 0 };
     struct gsn_oval_stretch stretch;
+    int ragged;
 
     assert(plane && radius_px > 0 && ret_mark);
 
     if (!floats || !cells || !fit)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
     clear_buffers(fit, floats, cells, room);
-    (void)fit_outline(fit, plane, start, radius_px, NULL, &mark);
-    if (mark.score < gsn_oval_round_score && gsn_oval_find(plane, &start, &radius_px, &stretch)) {
+    ragged = fit_outline(fit, plane, start, radius_px, NULL, &mark) < RIM_AGREES;
+    if ((ragged || mark.score < gsn_oval_round_score) &&
+        gsn_oval_find(plane, &start, &radius_px, &stretch)) {
         clear_buffers(fit, floats, cells, room);
-        if (fit_outline(fit, plane, start, radius_px, &stretch, &oval) >= OVAL_RIM &&
-            1 - oval.score < OVAL_LEAVES * (1 - mark.score))
+        if (fit_outline(fit, plane, start, radius_px, &stretch, &oval) >= RIM_AGREES &&
+            (1 - oval.score < OVAL_LEAVES * (1 - mark.score) ||
+             (ragged && find_error(&oval) < OVAL_LEAVES * find_error(&mark))))
             mark = oval;
     }
     *ret_mark = mark;

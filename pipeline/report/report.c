@@ -199,6 +199,8 @@ static json_t *markers_of(const struct gsn_point px[3], const int found[3],
     return array;
 }
 
+/* A residual is what is left of places some thousand times as large: its last digits are rounding,
+ * which a processor without fused multiply-adds does otherwise. Picometres are kept. */
 static json_t *residuals_of(const struct gsn_report_section *section,
                             struct gsn_json_writer *writer)
 {
@@ -206,8 +208,9 @@ static json_t *residuals_of(const struct gsn_report_section *section,
 
     for (size_t i = 0; i < 3; i++)
         gsn_json_append(writer, array,
-                        section->marker_found[i] ? gsn_json_figure(section->residual_um[i])
-                                                 : json_null());
+                        section->marker_found[i]
+                            ? gsn_json_figure(1e-6 * round(1e6 * section->residual_um[i]))
+                            : json_null());
     return array;
 }
 

@@ -19,13 +19,14 @@ import shutil
 import signal
 import socket
 import sqlite3
-import struct
 import subprocess
 import sys
 import tempfile
 import time
 
-COUNT, SIDE = 20, 8
+from study_whole import write_volume
+
+COUNT = 20
 PATIENCE_S = 300
 
 
@@ -43,15 +44,6 @@ def wait_for(what, sentence, log=lambda: "", patience_s=PATIENCE_S):
             return value
         time.sleep(0.2)
     raise SystemExit(f"not true within {patience_s} s: {sentence}\n{log()}")
-
-
-def write_volume(path, mean):
-    cells = [mean * (0.95 + 0.1 * (x + y + z) / (3 * (SIDE - 1)))
-             for z in range(SIDE) for y in range(SIDE) for x in range(SIDE)]
-    head = (f"NRRD0004\ntype: float\ndimension: 3\nsizes: {SIDE} {SIDE} {SIDE}\nendian: little\n"
-            "encoding: raw\nspace dimension: 3\nspace units: \"um\" \"um\" \"um\"\n"
-            "space directions: (24,0,0) (0,24,0) (0,0,24)\n\n")
-    path.write_bytes(head.encode() + struct.pack(f"<{len(cells)}f", *cells))
 
 
 def free_ports(count):

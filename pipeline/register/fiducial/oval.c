@@ -18,7 +18,7 @@
 const double gsn_oval_axes_max = 2, gsn_oval_round_score = 0.99;
 
 /* Axes that differ by less are a round mark's. */
-static const double AXES_LEAST = 1.1;
+static const double AXES_LEAST = 1.2;
 /* Of fewer pixels, moments say nothing. */
 enum { PIXELS_LEAST = 24 };
 

@@ -26,6 +26,7 @@ sources_of() {
     ptp) (cd "$root" && ls acquire/ptp_*.c | grep -v ptp_transport) ;;
     volume) (cd "$root" && ls pipeline/decode/volume*.c) ;;
     job) echo "pipeline/specimen/protocol.c" ;;
+    imagej_roi) echo "pipeline/specimen/imagej_roi.c" ;;
     esac
 }
 
@@ -61,7 +62,7 @@ else
 fi
 configure "$out/cover" "-O0 --coverage -w"
 
-for target in ${*:-container volume job ptp uvc}; do
+for target in ${*:-container volume job ptp uvc imagej_roi}; do
     corpus="$here/corpus/$target" grown="$out/grown-$target"
     rm -rf "$grown" && mkdir "$grown"
     build "$out/build" "fuzz_$target"

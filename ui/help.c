@@ -103,7 +103,7 @@ static const struct gsn_help pages[] = {
       "                   drawn on them\n"
       "Surfaces and volumes end where the region ends. A file that exists is not written over.",
       "  --level V            of a surface\n"
-      "  --step UM            size of a volume's voxels, length of a surface's edges\n"
+      "  --step UM            size of a volume's voxels; of the cells a surface is made in, at most\n                       (default: triangles within a tenth of a voxel)\n"
       "  --whole              beyond the region too, as far as the model goes\n",
       "gieson export R07-left R07-left.stl --level 0.5\n"
       "gieson export R07-left R07-left.nrrd --step 12" },

@@ -37,8 +37,8 @@ int main(void)
     must(gsn_field_fit(space, &data, NULL, &field, NULL, &err), &err);
     must(gsn_field_write_cells(field, NAME[0], &err), &err);
     must(gsn_field_write_cells(field, NAME[1], &err), &err);
-    must(gsn_field_write_surface(field, 0.09, 2, NAME[2], &err), &err);
-    must(gsn_field_write_surface(field, 0.09, 2, NAME[3], &err), &err);
+    must(gsn_field_write_surface(field, 0.09, 0, NAME[2], &err), &err);
+    must(gsn_field_write_surface(field, 0.09, 0, NAME[3], &err), &err);
     must(gsn_field_write_grid(field, &grid, NAME[4], &err), &err);
     must(gsn_field_write_grid(field, &grid, NAME[5], &err), &err);
     for (int i = 0; i < 6; i++) {
@@ -46,7 +46,7 @@ int main(void)
         same("something was written", bytes_of(NAME[i]) > 1000, 1, 0);
     }
     /* An ending that is none of them. */
-    same("refused", gsn_field_write_surface(field, 0.09, 2, "ball.obj", &err), GSN_E_UNSUPPORTED,
+    same("refused", gsn_field_write_surface(field, 0.09, 0, "ball.obj", &err), GSN_E_UNSUPPORTED,
          0);
     printf("%s\n", err.text);
     gsn_field_free(field);

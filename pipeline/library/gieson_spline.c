@@ -483,9 +483,10 @@ int gsn_field_write_cells(const struct gsn_field *field, const char *path, struc
     return r < 0 ? r : gsn_file_write(path, bytes, size, err);
 }
 
-int gsn_field_write_surface(const struct gsn_field *field, double level, unsigned subdivision,
+int gsn_field_write_surface(const struct gsn_field *field, double level, double error,
                             const char *path, struct gsn_error *err)
 {
+    const struct gsn_isosurface_options options = { .level = level, .error_um = error };
     const int stl = ends_with(path, ".stl");
     gsn_auto(gsn_trimesh) surface = NULL;
     gsn_auto_mem(uint8_t) bytes = NULL;
@@ -494,7 +495,7 @@ int gsn_field_write_surface(const struct gsn_field *field, double level, unsigne
 
     if (!stl && !ends_with(path, ".ply"))
         return refuse_ending(path, ".stl or .ply", err);
-    r = gsn_isosurface(field->spline, level, NULL, subdivision, 0, &surface, err);
+    r = gsn_isosurface(field->spline, &options, &surface, err);
     if (r >= 0 && surface->triangle_count == 0)
         r = gsn_fail(err, GSN_E_INPUT, "the field is %g nowhere, so there is no surface", level);
     if (r >= 0)

@@ -123,7 +123,7 @@ def _declare():
             "gsn_field_save": [pointer, ctypes.c_char_p, ctypes.c_char_p, pointer],
             "gsn_field_load": [ctypes.c_char_p, pointer, pointer],
             "gsn_field_write_cells": [pointer, ctypes.c_char_p, pointer],
-            "gsn_field_write_surface": [pointer, real, ctypes.c_uint, ctypes.c_char_p, pointer],
+            "gsn_field_write_surface": [pointer, real, real, ctypes.c_char_p, pointer],
             "gsn_field_write_grid": [pointer, pointer, ctypes.c_char_p, pointer],
             "gsn_code_name": [ctypes.c_int]}.items():
         getattr(_lib, name).argtypes = takes
@@ -427,9 +427,10 @@ class Field:
         """The tetrahedra, as .vtu or .csv."""
         _call(_lib.gsn_field_write_cells, self._handle, _path(path))
 
-    def write_surface(self, path, level, subdivision=2):
-        """The surface where the field has the level, as .stl or .ply."""
-        _call(_lib.gsn_field_write_surface, self._handle, level, subdivision, _path(path))
+    def write_surface(self, path, level, error=0.0):
+        """The surface where the field has the level, as .stl or .ply; no triangle lies farther from
+        it than error (0: a hundredth of the mean edge of the tetrahedra)."""
+        _call(_lib.gsn_field_write_surface, self._handle, level, error, _path(path))
 
     def write_grid(self, path, shape, step, origin=0.0):
         """The values of on_grid(), as .nrrd, .nii or .nii.gz."""

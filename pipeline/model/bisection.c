@@ -277,22 +277,22 @@ static int copy_mesh(const struct gsn_tets *mesh, const double *max_um3, struct 
     return GSN_OK;
 }
 
-static int bisect(const struct gsn_tets *mesh, const double *max_um3, struct growing *g,
-                  struct gsn_tets **ret_mesh, struct gsn_error *err)
+static int bisect(const struct gsn_tets *mesh, const double *max_um3, int in_order,
+                  struct growing *g, struct gsn_tets **ret_mesh, struct gsn_error *err)
 {
     int r = copy_mesh(mesh, max_um3, g, err);
 
     if (r >= 0)
         r = bisect_all(g, err);
-    if (r >= 0)
+    if (r >= 0 && in_order)
         r = gsn_domain_order(g->soup, err);
     return r < 0 ? r
                  : gsn_tets_new(g->soup->vertex, g->soup->vertex_count, g->soup->tet,
                                 g->soup->tet_count, ret_mesh, err);
 }
 
-int gsn_tets_bisect(const struct gsn_tets *mesh, const double *max_um3, struct gsn_tets **ret_mesh,
-                    struct gsn_error *err)
+static int check_and_bisect(const struct gsn_tets *mesh, const double *max_um3, int in_order,
+                            struct gsn_tets **ret_mesh, struct gsn_error *err)
 {
     struct growing g = { .soup = NULL };
     int r;
@@ -301,7 +301,19 @@ int gsn_tets_bisect(const struct gsn_tets *mesh, const double *max_um3, struct g
         if (!isfinite(max_um3[t]) || max_um3[t] < 0)
             return gsn_fail(err, GSN_E_INPUT, "the limit %g um^3 of tetrahedron %zu", max_um3[t],
                             t);
-    r = bisect(mesh, max_um3, &g, ret_mesh, err);
+    r = bisect(mesh, max_um3, in_order, &g, ret_mesh, err);
     growing_done(&g);
     return r;
+}
+
+int gsn_tets_bisect(const struct gsn_tets *mesh, const double *max_um3, struct gsn_tets **ret_mesh,
+                    struct gsn_error *err)
+{
+    return check_and_bisect(mesh, max_um3, 1, ret_mesh, err);
+}
+
+int gsn_tets_bisect_behind(const struct gsn_tets *mesh, const double *max_um3,
+                           struct gsn_tets **ret_mesh, struct gsn_error *err)
+{
+    return check_and_bisect(mesh, max_um3, 0, ret_mesh, err);
 }

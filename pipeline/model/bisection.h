@@ -18,6 +18,10 @@ extern "C" {
 int gsn_tets_bisect(const struct gsn_tets *mesh, const double *max_um3, struct gsn_tets **ret_mesh,
                     struct gsn_error *err);
 
+/* The same in another order: the vertices of the mesh come first, as they were, new ones behind. */
+int gsn_tets_bisect_behind(const struct gsn_tets *mesh, const double *max_um3,
+                           struct gsn_tets **ret_mesh, struct gsn_error *err);
+
 #ifdef __cplusplus
 }
 #endif

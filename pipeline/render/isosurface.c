@@ -1,32 +1,36 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The isosurface of a spline as a closed triangle mesh.
+/* The isosurface of a spline as a closed triangle mesh, as fine as it has to be.
  *
  * What is marched is the height: s - level, or, where that is less, the distance from the region's
  * border at a fixed rate. It is 0 on the surface of the solid {s >= level} in the region.
  *
- * Method: marching tetrahedra on a subdivision of the domain, with crossings on edges found on the
- * spline itself and not by interpolation. Every tetrahedron is cut into 8^level path simplices of
- * the cubes of a lattice (H. Freudenthal 1942; H. W. Kuhn 1960), alike on both sides of a face, so
- * that the surface is closed wherever the level does not leave the domain. Reference: A. Doi, A.
- * Koide, "An efficient method of triangulating equi-valued surfaces by using tetrahedral cells",
- * IEICE Trans. E74, 1991.
+ * Method: marching tetrahedra, with crossings on edges found on the spline itself and not by
+ * interpolation, on a mesh that is bisected where its triangles are too far from the surface: a chord t
+ * between two points whose normals differ by d lies d . t / 8 beside the arc. Bisection keeps the mesh
+ * conforming (bisection.h), so the surface is closed across cells of all sizes wherever the level does
+ * not leave the domain. References: A. Doi, A. Koide, "An efficient method of triangulating
+ * equi-valued surfaces by using tetrahedral cells", IEICE Trans. E74, 1991; M.-C. Rivara 1997.
  *
- * Steps: (1) one point per place of the finer mesh, shared by a hash table; (2) heights of all
- * points together; (3) edges that pass the level, once each; (4) roots by false position (the
+ * Steps: (1) cells at whose corners every piece of the surface shows (level_cells.h); (2) heights of
+ * all corners together; (3) edges that pass the level, once each; (4) roots by false position (the
  * Illinois rule), all edges of a round together, and normals from gradients; (5) triangles, outside
- * to outside.
+ * to outside; (6) cells whose triangles are too far, or whose edges are too long, are bisected, and
+ * again from (2).
  *
- * Failure: GSN_E_LIMIT above 2^31 parts, GSN_E_NOMEM.
- * Cost: one value a point, some eight an edge that passes the level. */
+ * Failure: GSN_E_LIMIT, GSN_E_NOMEM. It ends at MOST_CELLS with what was reached, and says so in
+ * error_um. Cost: one value a corner and some eight an edge that passes the level, of all rounds
+ * once; and the neighbours of all cells, each round anew. */
 #include "pipeline/render/isosurface.h"
 
 #include "pipeline/core/error.h"
 #include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
+#include "pipeline/model/barycentric.h"
 #include "pipeline/model/batch.h"
+#include "pipeline/model/bisection.h"
 #include "pipeline/model/spline.h"
-#include "pipeline/render/subdivide.h"
+#include "pipeline/render/level_cells.h"
 
 #include <assert.h>
 #include <math.h>
@@ -42,12 +46,20 @@ struct hash_table {
 /* Whether item number has the key. */
 typedef int hash_same(uint32_t number, const void *key, const void *context);
 
-/* A spline, the level that counts as zero, the border that closes it, and the finer mesh. borrows. */
+/* What is marched: a mesh, and of each vertex whether it is on the mesh's boundary, and a tetrahedron
+ * that has it. */
+struct cells {
+    struct gsn_tets *mesh; /* owned */
+    uint32_t *home;        /* owned */
+    uint8_t *outer;        /* owned */
+};
+
+/* A spline, the level that counts as zero, the border that closes it, and the cells. borrows. */
 struct level_function {
     const struct gsn_spline *spline;
     double level;
     const struct gsn_border *border; /* NULL: none */
-    const struct gsn_fine *fine;
+    const struct cells *cells;
 };
 
 /* --- a hash table of what was met before --- */
@@ -130,257 +142,41 @@ static int hash_find(struct hash_table *slots, uint64_t hash, const void *key, h
     return GSN_OK;
 }
 
-/* --- tetrahedra cut finer --- */
-
-/* A tetrahedron's lattice of m parts a side is that of the simplex m >= x >= y >= z >= 0: place
- * (x, y, z) has the weights (m - x, x - y, y - z, z) / m at the corners, and the parts are the six
- * path simplices of every unit cube, as far as they lie in it. On a face this always gives the same
- * m^2 triangles, so that neighbours fit whatever the order of their corners. */
-struct lattice {
-    int m;
-    uint8_t weight[GSN_FINE_MOST_PLACES][4];
-    uint8_t place[9][9][9];
-};
-
-static void make_places(struct lattice *lattice, struct gsn_fine *fine)
+/* The item with this key; UINT32_MAX: there is none. */
+static uint32_t hash_look(const struct hash_table *slots, uint64_t hash, const void *key,
+                          hash_same *same, const void *context)
 {
-    const int m = lattice->m;
-
-    fine->places = 0;
-    for (int x = 0; x <= m; x++) {
-        for (int y = 0; y <= x; y++) {
-            for (int z = 0; z <= y; z++) {
-                const int weight[4] = { m - x, x - y, y - z, z };
-
-                for (int k = 0; k < 4; k++)
-                    lattice->weight[fine->places][k] = (uint8_t)weight[k];
-                lattice->place[x][y][z] = (uint8_t)fine->places++;
-            }
-        }
-    }
+    for (size_t at = hash & (slots->size - 1); slots->size > 0 && slots->number[at] != UINT32_MAX;
+         at = (at + 1) & (slots->size - 1))
+        if (slots->hash[at] == hash && same(slots->number[at], key, context))
+            return slots->number[at];
+    return UINT32_MAX;
 }
 
-/* Adds the path simplex of the cube at base along these axes, if it lies in the tetrahedron. */
-static void add_part(const struct lattice *lattice, const int base[3], const int axis[3], int odd,
-                     struct gsn_fine *fine)
+/* --- cells --- */
+
+static void cells_done(struct cells *cells)
 {
-    int at[3] = { base[0], base[1], base[2] };
-    uint8_t part[4];
-
-    for (int step = 0; step < 4; step++) {
-        if (at[0] > lattice->m || at[1] > at[0] || at[2] > at[1])
-            return;
-        part[step] = lattice->place[at[0]][at[1]][at[2]];
-        if (step < 3)
-            at[axis[step]]++;
-    }
-    if (odd) {
-        const uint8_t swap = part[2];
-
-        part[2] = part[3];
-        part[3] = swap;
-    }
-    memcpy(fine->part[fine->parts++], part, sizeof part);
+    gsn_tets_free(cells->mesh);
+    gsn_free(cells->home);
+    gsn_free(cells->outer);
 }
 
-static void make_parts(const struct lattice *lattice, struct gsn_fine *fine)
+/* takes: mesh, at any outcome. */
+static int cells_init(struct cells *cells, struct gsn_tets *mesh, struct gsn_error *err)
 {
-    static const int path[6][3] = { { 0, 1, 2 }, { 1, 2, 0 }, { 2, 0, 1 },
-                                    { 0, 2, 1 }, { 2, 1, 0 }, { 1, 0, 2 } };
-
-    fine->parts = 0;
-    for (int x = 0; x < lattice->m; x++) {
-        for (int y = 0; y <= x; y++) {
-            for (int z = 0; z <= y; z++) {
-                const int base[3] = { x, y, z };
-
-                for (int k = 0; k < 6; k++)
-                    add_part(lattice, base, path[k], k >= 3, fine);
-            }
-        }
-    }
-}
-
-/* What names a place of the finer mesh: corners of the coarse one with weights, by rising corner,
- * those with weight 0 left out (UINT32_MAX). */
-struct name {
-    uint32_t corner[4];
-    uint8_t weight[4];
-};
-
-static struct name make_name(const uint32_t corner[4], const uint8_t weight[4])
-{
-    struct name name = { { UINT32_MAX, UINT32_MAX, UINT32_MAX, UINT32_MAX }, { 0, 0, 0, 0 } };
-    int count = 0;
-
-    for (int k = 0; k < 4; k++) {
-        int at = count;
-
-        if (weight[k] == 0)
-            continue;
-        for (; at > 0 && name.corner[at - 1] > corner[k]; at--) {
-            name.corner[at] = name.corner[at - 1];
-            name.weight[at] = name.weight[at - 1];
-        }
-        name.corner[at] = corner[k];
-        name.weight[at] = weight[k];
-        count++;
-    }
-    return name;
-}
-
-static uint64_t hash_name(const struct name *name)
-{
-    uint64_t hash = 0;
-
-    for (int k = 0; k < 4; k++)
-        hash = hash_mix(hash, (uint64_t)name->corner[k] << 8 | name->weight[k]);
-    return hash;
-}
-
-static int same_name(uint32_t number, const void *key, const void *context)
-{
-    const struct name *names = context, *name = key;
-
-    return memcmp(names[number].corner, name->corner, sizeof name->corner) == 0 &&
-           memcmp(names[number].weight, name->weight, sizeof name->weight) == 0;
-}
-
-struct naming {
-    struct hash_table slots;
-    struct name *name;
-    size_t room;
-};
-
-static int make_room(struct naming *naming, struct gsn_fine *fine, struct gsn_error *err)
-{
-    const size_t room = naming->room ? 2 * naming->room : 1024;
-    struct name *name;
-    uint32_t *home;
-
-    if (fine->point_count < naming->room)
-        return GSN_OK;
-    name = gsn_realloc_array(naming->name, room, sizeof *name);
-    if (name)
-        naming->name = name;
-    home = gsn_realloc_array(fine->home, room, sizeof *home);
-    if (home)
-        fine->home = home;
-    if (!name || !home)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", room);
-    naming->room = room;
-    return GSN_OK;
-}
-
-/* Numbers all places, in the order of the tetrahedra. */
-static int name_places(const struct gsn_tets *mesh, const struct lattice *lattice,
-                       struct gsn_fine *fine, struct naming *naming, struct gsn_error *err)
-{
-    for (size_t t = 0; t < mesh->tet_count; t++) {
-        for (unsigned p = 0; p < fine->places; p++) {
-            const struct name name = make_name(mesh->tet[t], lattice->weight[p]);
-            const uint32_t next = (uint32_t)fine->point_count;
-            uint32_t number = 0;
-            int r = make_room(naming, fine, err);
-
-            if (r == GSN_OK)
-                r = hash_find(&naming->slots, hash_name(&name), &name, same_name, naming->name,
-                              next, &number, err);
-            if (r < 0)
-                return r;
-            fine->place[t * fine->places + p] = number;
-            if (number == next) {
-                naming->name[number] = name;
-                fine->home[number] = (uint32_t)t;
-                fine->point_count++;
-            }
-        }
-    }
-    return GSN_OK;
-}
-
-/* Points from their names alone: the same sum in the same order for every tetrahedron that has it.
- */
-static int make_points(const struct gsn_tets *mesh, const struct name *name, int m,
-                       struct gsn_fine *fine, struct gsn_error *err)
-{
-    fine->point = gsn_alloc_array(fine->point_count, sizeof *fine->point);
-    fine->outer = gsn_alloc_array(fine->point_count, sizeof *fine->outer);
-    if (!fine->point || !fine->outer)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", fine->point_count);
-    for (size_t i = 0; i < fine->point_count; i++) {
-        for (int k = 0; k < 4 && name[i].weight[k] > 0; k++) {
-            for (int a = 0; a < 3; a++)
-                fine->point[i][a] +=
-                    (double)name[i].weight[k] / m * mesh->vertex[name[i].corner[k]][a];
-        }
-    }
-    return GSN_OK;
-}
-
-/* Places on faces that no other tetrahedron has. */
-static void mark_outer(const struct gsn_tets *mesh, const struct lattice *lattice,
-                       struct gsn_fine *fine)
-{
+    *cells = (struct cells){ .mesh = mesh,
+                             .home = gsn_alloc_array(mesh->vertex_count, sizeof *cells->home),
+                             .outer = gsn_alloc_array(mesh->vertex_count, sizeof *cells->outer) };
+    if (!cells->home || !cells->outer)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", mesh->vertex_count);
     for (size_t t = 0; t < mesh->tet_count; t++)
-        for (int k = 0; k < 4; k++)
-            for (unsigned p = 0; mesh->neighbour[t][k] < 0 && p < fine->places; p++)
-                if (lattice->weight[p][k] == 0)
-                    fine->outer[fine->place[t * fine->places + p]] = 1;
-}
-
-static int fill_lattice(const struct gsn_tets *mesh, const struct lattice *lattice,
-                        struct gsn_fine *fine, struct gsn_error *err)
-{
-    struct naming naming = { 0 };
-    int r;
-
-    fine->place = gsn_alloc_array(mesh->tet_count, fine->places * sizeof *fine->place);
-    if (!fine->place)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu tetrahedra", mesh->tet_count);
-    r = name_places(mesh, lattice, fine, &naming, err);
-    if (r == GSN_OK)
-        r = make_points(mesh, naming.name, lattice->m, fine, err);
-    if (r == GSN_OK)
-        mark_outer(mesh, lattice, fine);
-    hash_done(&naming.slots);
-    gsn_free(naming.name);
-    return r;
-}
-
-int gsn_fine_new(const struct gsn_tets *mesh, unsigned level, struct gsn_fine **ret_fine,
-                 struct gsn_error *err)
-{
-    gsn_auto(gsn_fine) fine = NULL;
-    struct lattice lattice = { .m = 1 << level };
-    int r;
-
-    assert(level <= GSN_FINE_MOST_LEVEL);
-    if (mesh->tet_count > ((size_t)1 << 31) >> (3 * level))
-        return gsn_fail(err, GSN_E_LIMIT, "%zu tetrahedra cannot each be cut into %u",
-                        mesh->tet_count, 1U << (3 * level));
-    fine = gsn_alloc_array(1, sizeof *fine);
-    if (!fine)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a finer mesh");
-    fine->tet_count = mesh->tet_count;
-    make_places(&lattice, fine);
-    make_parts(&lattice, fine);
-    r = fill_lattice(mesh, &lattice, fine, err);
-    if (r < 0)
-        return r;
-    *ret_fine = gsn_steal(&fine);
+        for (unsigned k = 0; k < 4; k++) {
+            cells->home[mesh->tet[t][k]] = (uint32_t)t;
+            for (unsigned c = 0; mesh->neighbour[t][k] < 0 && c < 4; c++)
+                cells->outer[mesh->tet[t][c]] |= c != k;
+        }
     return GSN_OK;
-}
-
-void gsn_fine_free(struct gsn_fine *fine)
-{
-    if (!fine)
-        return;
-    gsn_free(fine->point);
-    gsn_free(fine->outer);
-    gsn_free(fine->home);
-    gsn_free(fine->place);
-    gsn_free(fine);
 }
 
 /* --- where edges pass the level --- */
@@ -391,13 +187,13 @@ enum {
 };
 
 /* s - level at a point that counts as outside though it is not: taken a little towards the middle
- * of a tetrahedron that the point belongs to. */
+ * of a cell that the point belongs to. */
 static double height_beside(const struct level_function *level, const double u[3], uint32_t home,
                             double *ret_gradient)
 {
-    const struct gsn_tets *mesh = gsn_dms_mesh(gsn_spline_space(level->spline));
+    const struct gsn_tets *mesh = level->cells->mesh;
     double at[3], value = 0.0;
-    size_t hint = home;
+    size_t hint = 0;
 
     for (double step = 1e-9; step <= 1.0; step *= 1000.0) {
         for (int a = 0; a < 3; a++) {
@@ -435,7 +231,7 @@ static int close_height(const struct level_function *level, const double u[3], d
 }
 
 /* Heights, their gradients unless that is NULL, and whether they are the border's unless that is
- * NULL, at count points in these tetrahedra. */
+ * NULL, at count points in these cells. */
 static int heights_at(const struct level_function *level, const double (*at)[3],
                       const uint32_t *home, size_t count, unsigned threads, double *ret_height,
                       double (*ret_gradient)[3], uint8_t *ret_closing, struct gsn_error *err)
@@ -458,24 +254,25 @@ static int heights_at(const struct level_function *level, const double (*at)[3],
     return r;
 }
 
-/* Heights of the fine mesh's points. The half-open rule puts the points of some boundary faces
+/* Heights of the cells' corners from number first on. The half-open rule puts the points of some boundary faces
  * outside; there it is the limit from inside. threads 0: all; the same bytes on any number. Fails
  * with GSN_E_NOMEM. */
-static int level_heights(const struct level_function *level, unsigned threads, double *ret_height,
-                         struct gsn_error *err)
+static int level_heights(const struct level_function *level, size_t first, unsigned threads,
+                         double *ret_height, struct gsn_error *err)
 {
-    const struct gsn_fine *fine = level->fine;
+    const struct cells *cells = level->cells;
+    const size_t points = cells->mesh->vertex_count;
     int r = GSN_OK;
 
-    for (size_t i = 0; i < fine->point_count && r >= 0; i += CHUNK) {
-        const size_t left = fine->point_count - i;
+    for (size_t i = first; i < points && r >= 0; i += CHUNK) {
+        const size_t left = points - i;
 
-        r = heights_at(level, (const double(*)[3])fine->point + i, fine->home + i,
+        r = heights_at(level, (const double(*)[3])cells->mesh->vertex + i, cells->home + i,
                        left < CHUNK ? left : CHUNK, threads, ret_height + i, NULL, NULL, err);
     }
     /* Where the domain ends inside the border, by less than a voxel, it closes the region too. */
-    for (size_t i = 0; level->border && i < fine->point_count; i++)
-        if (fine->outer[i])
+    for (size_t i = 0; level->border && i < points; i++)
+        if (cells->outer[i])
             ret_height[i] = fmin(ret_height[i], -1e-9);
     return r;
 }
@@ -529,8 +326,8 @@ static int search_init(struct search *search, const struct level_function *level
 
 static void point_of(const struct search *search, size_t i, double ret_at[3])
 {
-    const struct gsn_fine *fine = search->level->fine;
-    const double *p = fine->point[search->edge[i][0]], *q = fine->point[search->edge[i][1]];
+    const struct gsn_tets *mesh = search->level->cells->mesh;
+    const double *p = mesh->vertex[search->edge[i][0]], *q = mesh->vertex[search->edge[i][1]];
 
     for (int a = 0; a < 3; a++)
         ret_at[a] = p[a] + search->crossing[i].t * (q[a] - p[a]);
@@ -568,7 +365,7 @@ static int search_step(struct search *search, unsigned threads, struct gsn_error
 
         c->t = c->t0 + (c->t1 - c->t0) * (c->f0 / (c->f0 - c->f1));
         point_of(search, v, search->at[i]);
-        search->home[i] = search->level->fine->home[search->edge[v][0]];
+        search->home[i] = search->level->cells->home[search->edge[v][0]];
     }
     r = heights_at(search->level, (const double(*)[3])search->at, search->home, search->open,
                    threads, search->height, NULL, NULL, err);
@@ -583,7 +380,7 @@ static int search_step(struct search *search, unsigned threads, struct gsn_error
 /* Out of the denser side: against the gradient, or along the edge where there is none. */
 static void set_normal(const struct search *search, size_t i, float ret_normal[3])
 {
-    const struct gsn_fine *fine = search->level->fine;
+    const struct gsn_tets *mesh = search->level->cells->mesh;
     const uint32_t *edge = search->edge[i];
     double n[3], length = 0.0;
 
@@ -594,7 +391,7 @@ static void set_normal(const struct search *search, size_t i, float ret_normal[3
     if (!(length > 0.0)) {
         length = 0.0;
         for (int a = 0; a < 3; a++) {
-            n[a] = fine->point[edge[1]][a] - fine->point[edge[0]][a];
+            n[a] = mesh->vertex[edge[1]][a] - mesh->vertex[edge[0]][a];
             length += n[a] * n[a];
         }
     }
@@ -610,7 +407,7 @@ static int level_closes(struct search *search, size_t i, uint8_t *closing)
     const struct level_function *level = search->level;
     struct crossing *crossing = &search->crossing[i];
 
-    closing[i] |= level->border && level->fine->outer[search->edge[i][1]];
+    closing[i] |= level->border && level->cells->outer[search->edge[i][1]];
     if (!closing[i])
         return 0;
     crossing->t = fmin(1 - NEAREST, fmax(NEAREST, crossing->t));
@@ -635,7 +432,7 @@ static int cross_chunk(struct search *search, const double *height, size_t count
         r = search_step(search, threads, err);
     for (size_t i = 0; i < count && r >= 0; i++) {
         point_of(search, i, ret_at[i]);
-        search->home[i] = search->level->fine->home[search->edge[i][0]];
+        search->home[i] = search->level->cells->home[search->edge[i][0]];
     }
     if (r >= 0)
         r = heights_at(search->level, (const double(*)[3])ret_at, search->home, count, threads,
@@ -681,31 +478,29 @@ void gsn_trimesh_free(struct gsn_trimesh *surface)
     gsn_free(surface);
 }
 
-unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um)
-{
-    double volume = 0.0, edge;
-    unsigned level = 0;
-
-    for (size_t t = 0; t < mesh->tet_count; t++)
-        volume += gsn_tets_volume(mesh, t);
-    /* A regular tetrahedron of edge a has the volume a^3 / (6 sqrt 2). */
-    edge = cbrt(6.0 * sqrt(2.0) * volume / (double)mesh->tet_count);
-    while (level < 2 && edge > edge_um) {
-        edge *= 0.5;
-        level++;
-    }
-    return level;
-}
-
+/* A surface on some cells. The next one, on finer cells, takes over what it knows of corners and edges
+ * that are still there. */
 struct marching {
-    const struct gsn_fine *fine;
-    double *height;      /* s - level at the fine mesh's points */
+    const struct gsn_tets *mesh; /* borrowed */
+    double *height;              /* s - level at its vertices */
+    size_t points;
     uint32_t (*edge)[2]; /* of each vertex of the surface: points with height >= 0 and < 0 */
     size_t edge_room;
+    uint32_t *cell; /* that each triangle lies in */
     size_t triangle_room;
     struct hash_table slots;
     struct gsn_trimesh *surface;
 };
+
+static void marching_done(struct marching *marching)
+{
+    gsn_free(marching->height);
+    gsn_free(marching->edge);
+    gsn_free(marching->cell);
+    hash_done(&marching->slots);
+    gsn_trimesh_free(marching->surface);
+    *marching = (struct marching){ .mesh = NULL };
+}
 
 static int same_edge(uint32_t number, const void *key, const void *context)
 {
@@ -740,20 +535,36 @@ static int find_vertex(struct marching *marching, uint32_t inside, uint32_t outs
     return r;
 }
 
-static int add_triangle(struct marching *marching, uint32_t a, uint32_t b, uint32_t c,
-                        struct gsn_error *err)
+static int grow_triangles(struct marching *marching, size_t room, struct gsn_error *err)
+{
+    uint32_t(*triangle)[3] =
+        gsn_realloc_array(marching->surface->triangle, room, sizeof *triangle);
+    uint32_t *cell;
+
+    if (!triangle)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu triangles", room);
+    marching->surface->triangle = triangle;
+    cell = gsn_realloc_array(marching->cell, room, sizeof *cell);
+    if (!cell)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu triangles", room);
+    marching->cell = cell;
+    marching->triangle_room = room;
+    return GSN_OK;
+}
+
+static int add_triangle(struct marching *marching, uint32_t cell, uint32_t a, uint32_t b,
+                        uint32_t c, struct gsn_error *err)
 {
     struct gsn_trimesh *surface = marching->surface;
 
     if (surface->triangle_count == marching->triangle_room) {
-        const size_t room = marching->triangle_room ? 2 * marching->triangle_room : 1024;
-        uint32_t(*grown)[3] = gsn_realloc_array(surface->triangle, room, sizeof *grown);
+        const int r = grow_triangles(
+            marching, marching->triangle_room ? 2 * marching->triangle_room : 1024, err);
 
-        if (!grown)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu triangles", room);
-        surface->triangle = grown;
-        marching->triangle_room = room;
+        if (r < 0)
+            return r;
     }
+    marching->cell[surface->triangle_count] = cell;
     surface->triangle[surface->triangle_count][0] = a;
     surface->triangle[surface->triangle_count][1] = b;
     surface->triangle[surface->triangle_count][2] = c;
@@ -770,10 +581,11 @@ static const uint8_t order_of[16][4] = {
     [11] = { 2, 0, 1, 3 }, [7] = { 3, 0, 2, 1 },
 };
 
-/* Triangles of one small, positively oriented tetrahedron; seen from the inner corners they turn so
+/* Triangles of one cell; seen from the inner corners they turn so
  * that the normal by the right hand points away. */
-static int march_part(struct marching *marching, const uint32_t point[4], struct gsn_error *err)
+static int march_cell(struct marching *marching, uint32_t cell, struct gsn_error *err)
 {
+    const uint32_t *const point = marching->mesh->tet[cell];
     unsigned set = 0, count = 0;
     uint32_t c[4], v[4];
     int r = GSN_OK;
@@ -794,9 +606,9 @@ static int march_part(struct marching *marching, const uint32_t point[4], struct
         for (int k = 0; k < 4 && r == GSN_OK; k++)
             r = find_vertex(marching, c[quad[k][0]], c[quad[k][1]], &v[k], err);
         if (r == GSN_OK)
-            r = add_triangle(marching, v[0], v[1], v[2], err);
+            r = add_triangle(marching, cell, v[0], v[1], v[2], err);
         if (r == GSN_OK)
-            r = add_triangle(marching, v[0], v[2], v[3], err);
+            r = add_triangle(marching, cell, v[0], v[2], v[3], err);
         return r;
     }
     for (int k = 0; k < 3 && r == GSN_OK; k++)
@@ -804,84 +616,290 @@ static int march_part(struct marching *marching, const uint32_t point[4], struct
                        : find_vertex(marching, c[k + 1], c[0], &v[k], err);
     if (r < 0)
         return r;
-    return count == 1 ? add_triangle(marching, v[0], v[1], v[2], err)
-                      : add_triangle(marching, v[0], v[2], v[1], err);
+    return count == 1 ? add_triangle(marching, cell, v[0], v[1], v[2], err)
+                      : add_triangle(marching, cell, v[0], v[2], v[1], err);
 }
 
-static int march_cells(struct marching *marching, struct gsn_error *err)
+/* Heights at all corners; those that last knows are taken over. */
+static int find_heights(struct marching *marching, struct marching *last,
+                        const struct level_function *level, unsigned threads,
+                        struct gsn_error *err)
 {
-    const struct gsn_fine *fine = marching->fine;
+    marching->points = marching->mesh->vertex_count;
+    marching->height =
+        gsn_realloc_array(last->height, marching->points, sizeof *marching->height);
+    if (!marching->height)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", marching->points);
+    last->height = NULL;
+    return level_heights(level, last->points, threads, marching->height, err);
+}
 
-    for (size_t t = 0; t < fine->tet_count; t++) {
-        const uint32_t *place = fine->place + t * fine->places;
+/* What is known of some vertices of a surface, in an order of their own. */
+struct fresh {
+    uint32_t *vertex, (*edge)[2];
+    double (*at)[3];
+    float (*normal)[3];
+    uint8_t *closing;
+    size_t count;
+};
 
-        for (unsigned p = 0; p < fine->parts; p++) {
-            const uint32_t point[4] = { place[fine->part[p][0]], place[fine->part[p][1]],
-                                        place[fine->part[p][2]], place[fine->part[p][3]] };
-            const int r = march_part(marching, point, err);
+static void fresh_done(struct fresh *fresh)
+{
+    gsn_free(fresh->vertex);
+    gsn_free(fresh->edge);
+    gsn_free(fresh->at);
+    gsn_free(fresh->normal);
+    gsn_free(fresh->closing);
+}
 
-            if (r < 0)
-                return r;
+/* Takes over the vertices on edges that last knows; the others are fresh. */
+static void take_vertices(struct marching *marching, const struct marching *last,
+                          struct fresh *fresh)
+{
+    struct gsn_trimesh *const surface = marching->surface;
+
+    for (uint32_t v = 0; v < surface->vertex_count; v++) {
+        const uint32_t *const edge = marching->edge[v];
+        const uint32_t known =
+            hash_look(&last->slots, hash_mix(edge[0], edge[1]), edge, same_edge, last->edge);
+
+        if (known == UINT32_MAX) {
+            memcpy(fresh->edge[fresh->count], edge, sizeof fresh->edge[0]);
+            fresh->vertex[fresh->count++] = v;
+            continue;
         }
+        memcpy(surface->vertex[v], last->surface->vertex[known], sizeof surface->vertex[v]);
+        memcpy(surface->normal[v], last->surface->normal[known], sizeof surface->normal[v]);
+        surface->closing[v] = last->surface->closing[known];
     }
-    return GSN_OK;
 }
 
-static int build_surface(struct marching *marching, const struct level_function *level,
-                         unsigned threads, struct gsn_error *err)
+static int find_fresh(struct marching *marching, const struct marching *last,
+                      const struct level_function *level, unsigned threads, struct fresh *fresh,
+                      struct gsn_error *err)
 {
-    const size_t points = marching->fine->point_count;
-    gsn_auto_mem(double) height = gsn_alloc_array(points, sizeof *height);
-    struct gsn_trimesh *surface = marching->surface;
+    struct gsn_trimesh *const surface = marching->surface;
+    const size_t room = surface->vertex_count;
     int r;
 
-    if (!height)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", points);
-    marching->height = height;
-    r = level_heights(level, threads, height, err);
-    if (r == GSN_OK)
-        r = march_cells(marching, err);
-    if (r < 0)
-        return r;
+    *fresh = (struct fresh){ .vertex = gsn_alloc_array(room, sizeof *fresh->vertex),
+                             .edge = gsn_alloc_array(room, sizeof *fresh->edge),
+                             .at = gsn_alloc_array(room, sizeof *fresh->at),
+                             .normal = gsn_alloc_array(room, sizeof *fresh->normal),
+                             .closing = gsn_alloc_array(room, sizeof *fresh->closing) };
+    if (!fresh->vertex || !fresh->edge || !fresh->at || !fresh->normal || !fresh->closing)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu vertices", room);
+    take_vertices(marching, last, fresh);
+    r = find_crossings(level, marching->height, (const uint32_t(*)[2])fresh->edge, fresh->count,
+                       threads, fresh->at, fresh->normal, fresh->closing, err);
+    for (size_t i = 0; i < fresh->count && r >= 0; i++) {
+        const uint32_t v = fresh->vertex[i];
+
+        memcpy(surface->vertex[v], fresh->at[i], sizeof fresh->at[i]);
+        memcpy(surface->normal[v], fresh->normal[i], sizeof fresh->normal[i]);
+        surface->closing[v] = fresh->closing[i];
+    }
+    return r;
+}
+
+static int find_vertices(struct marching *marching, const struct marching *last,
+                         const struct level_function *level, unsigned threads,
+                         struct gsn_error *err)
+{
+    struct gsn_trimesh *const surface = marching->surface;
+    struct fresh fresh;
+    int r;
+
     surface->vertex = gsn_alloc_array(surface->vertex_count, sizeof *surface->vertex);
     surface->normal = gsn_alloc_array(surface->vertex_count, sizeof *surface->normal);
     surface->closing = gsn_alloc_array(surface->vertex_count, sizeof *surface->closing);
     if (!surface->vertex || !surface->normal || !surface->closing)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu vertices", surface->vertex_count);
-    return find_crossings(level, height, (const uint32_t(*)[2])marching->edge,
-                          surface->vertex_count, threads, surface->vertex, surface->normal,
-                          surface->closing, err);
+    r = find_fresh(marching, last, level, threads, &fresh, err);
+    fresh_done(&fresh);
+    return r;
 }
 
-int gsn_isosurface(const struct gsn_spline *spline, double level, const struct gsn_border *border,
-                   unsigned subdivision, unsigned threads, struct gsn_trimesh **ret_surface,
-                   struct gsn_error *err)
+/* The surface on the cells into marching, at any outcome to be done with. last: on coarser cells, of
+ * which these are a refinement; or all 0. */
+static int march(const struct level_function *level, unsigned threads, struct marching *last,
+                 struct marching *marching, struct gsn_error *err)
 {
-    gsn_auto(gsn_fine) fine = NULL;
-    gsn_auto(gsn_trimesh) surface = NULL;
-    struct marching marching = { .edge = NULL };
     int r;
 
-    if (!isfinite(level))
-        return gsn_fail(err, GSN_E_INPUT, "the level of the surface is not a number");
-    if (subdivision > GSN_ISOSURFACE_MOST_SUBDIVISION)
-        return gsn_fail(err, GSN_E_INPUT, "subdivision %u is above %d", subdivision,
-                        GSN_ISOSURFACE_MOST_SUBDIVISION);
-    r = gsn_fine_new(gsn_dms_mesh(gsn_spline_space(spline)), subdivision, &fine, err);
-    if (r < 0)
-        return r;
-    surface = gsn_alloc_array(1, sizeof *surface);
-    if (!surface)
+    *marching = (struct marching){ .mesh = level->cells->mesh,
+                                   .surface = gsn_alloc_array(1, sizeof *marching->surface) };
+    if (!marching->surface)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a surface");
-    marching.fine = fine;
-    marching.surface = surface;
-    r = build_surface(&marching, &(struct level_function){ spline, level, border, fine }, threads, err);
-    hash_done(&marching.slots);
-    gsn_free(marching.edge);
-    if (r < 0)
+    r = find_heights(marching, last, level, threads, err);
+    for (uint32_t cell = 0; cell < marching->mesh->tet_count && r >= 0; cell++)
+        r = march_cell(marching, cell, err);
+    return r < 0 ? r : find_vertices(marching, last, level, threads, err);
+}
+
+/* --- as fine as asked --- */
+
+/* Beyond this many it ends with what was reached; the rounds are more than halvings can need. */
+enum { MOST_CELLS = 1 << 23, MOST_ROUNDS = 24 };
+
+/* A round takes at most an eighth of a cell, three halvings; and at least one. */
+static const double LEAST_PART = 0.125, MOST_PART = 0.5;
+
+/* Of the mean edge of the mesh, where nothing is asked for. */
+static const double USUAL_ERROR = 0.01;
+
+/* Of the mean edge: closed pieces in cells no larger may be missed. */
+static const double LEAST_CELL = 0.125;
+
+/* Of a chord, that it lies beside an arc of its own radius. */
+static const double ARC = 0.125;
+
+/* How far the triangle may lie from the surface: a chord t whose ends have normals that differ by d
+ * lies d . t / 8 beside an arc that has them. */
+static double triangle_error(const struct gsn_trimesh *surface, size_t triangle)
+{
+    const uint32_t *const corner = surface->triangle[triangle];
+    double error = 0;
+
+    for (unsigned k = 0; k < 3; k++) {
+        const uint32_t a = corner[k], b = corner[(k + 1) % 3];
+        double sum = 0;
+
+        for (unsigned i = 0; i < 3; i++)
+            sum += ((double)surface->normal[b][i] - (double)surface->normal[a][i]) *
+                   (surface->vertex[b][i] - surface->vertex[a][i]);
+        error = fmax(error, fabs(sum) / 8);
+    }
+    return error;
+}
+
+static double longest_edge(const struct gsn_tets *mesh, size_t cell)
+{
+    double longest = 0;
+
+    for (unsigned a = 0; a < 3; a++)
+        for (unsigned b = a + 1; b < 4; b++) {
+            double edge[3];
+
+            gsn_subtract(mesh->vertex[mesh->tet[cell][a]], mesh->vertex[mesh->tet[cell][b]], edge);
+            longest = fmax(longest, gsn_dot(edge, edge));
+        }
+    return sqrt(longest);
+}
+
+static double mean_edge(const struct gsn_tets *mesh)
+{
+    double volume = 0;
+
+    for (size_t t = 0; t < mesh->tet_count; t++)
+        volume += gsn_tets_volume(mesh, t);
+    /* A regular tetrahedron of edge a has the volume a^3 / (6 sqrt 2). */
+    return cbrt(6 * sqrt(2) * volume / (double)mesh->tet_count);
+}
+
+/* Of a cell's volume, what its pieces may have: errors go with the square of a length. 1: it may
+ * stay. */
+static double part_of(const struct gsn_isosurface_options *options, double error, double edge)
+{
+    double part = 1;
+
+    if (options->error_um > 0 && error > options->error_um)
+        part = fmin(part, pow(options->error_um / error, 1.5));
+    if (options->edge_um > 0 && edge > options->edge_um)
+        part = fmin(part, pow(options->edge_um / edge, 3));
+    return part < 1 ? fmax(LEAST_PART, fmin(MOST_PART, part)) : 1;
+}
+
+/* limit: of each cell's volume, 0 where it may stay. Returns how many may not. */
+static size_t limit_cells(const struct gsn_tets *mesh, const struct gsn_trimesh *surface,
+                          const uint32_t *cell, const struct gsn_isosurface_options *options,
+                          double *limit)
+{
+    size_t split = 0;
+
+    for (size_t t = 0; t < surface->triangle_count; t++) {
+        const double part =
+            part_of(options, triangle_error(surface, t), longest_edge(mesh, cell[t]));
+        const double most = part * gsn_tets_volume(mesh, cell[t]);
+
+        if (part == 1)
+            continue;
+        split += limit[cell[t]] == 0;
+        if (limit[cell[t]] == 0 || most < limit[cell[t]])
+            limit[cell[t]] = most;
+    }
+    return split;
+}
+
+/* Marches the cells, and makes finer ones where that is not near enough, NULL where it is; marching
+ * takes over what it can and has the surface then. */
+static int march_round(const struct level_function *level,
+                       const struct gsn_isosurface_options *options, struct marching *marching,
+                       struct gsn_tets **ret_finer, struct gsn_error *err)
+{
+    const struct gsn_tets *const mesh = level->cells->mesh;
+    gsn_auto_mem(double) limit = gsn_alloc_array(mesh->tet_count, sizeof *limit);
+    struct marching last = *marching;
+    int r;
+
+    if (!limit)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu cells", mesh->tet_count);
+    r = march(level, options->threads, &last, marching, err);
+    marching_done(&last);
+    if (r < 0 || mesh->tet_count > MOST_CELLS ||
+        limit_cells(mesh, marching->surface, marching->cell, options, limit) == 0)
         return r;
-    *ret_surface = gsn_steal(&surface);
-    return GSN_OK;
+    return gsn_tets_bisect_behind(mesh, limit, ret_finer, err);
+}
+
+/* takes: mesh. */
+static int march_rounds(const struct gsn_spline *spline, struct gsn_tets *mesh,
+                        const struct gsn_isosurface_options *options, struct marching *marching,
+                        struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (int round = 0; mesh && round < MOST_ROUNDS && r >= 0; round++) {
+        struct cells cells;
+        const struct level_function level = { spline, options->level, options->border, &cells };
+
+        r = cells_init(&cells, gsn_steal(&mesh), err);
+        if (r >= 0)
+            r = march_round(&level, options, marching, &mesh, err);
+        cells_done(&cells);
+    }
+    gsn_tets_free(mesh);
+    for (size_t t = 0; r >= 0 && t < marching->surface->triangle_count; t++)
+        marching->surface->error_um =
+            fmax(marching->surface->error_um, triangle_error(marching->surface, t));
+    return r;
+}
+
+int gsn_isosurface(const struct gsn_spline *spline, const struct gsn_isosurface_options *options,
+                   struct gsn_trimesh **ret_surface, struct gsn_error *err)
+{
+    struct gsn_isosurface_options full = *options;
+    struct marching marching = { .mesh = NULL };
+    struct gsn_tets *mesh = NULL;
+    const double mean = mean_edge(gsn_dms_mesh(gsn_spline_space(spline)));
+    int r;
+
+    if (!isfinite(options->level))
+        return gsn_fail(err, GSN_E_INPUT, "the level of the surface is not a number");
+    if (!(options->error_um >= 0) || !(options->edge_um >= 0))
+        return gsn_fail(err, GSN_E_INPUT, "a surface within %g um, of edges of %g um",
+                        options->error_um, options->edge_um);
+    if (full.error_um == 0 && full.edge_um == 0)
+        full.error_um = USUAL_ERROR * mean;
+    r = gsn_level_cells(spline, options->level,
+                        full.error_um > 0 ? full.error_um : ARC * full.edge_um, LEAST_CELL * mean,
+                        &mesh, err);
+    if (r >= 0)
+        r = march_rounds(spline, mesh, &full, &marching, err);
+    if (r >= 0)
+        *ret_surface = gsn_steal(&marching.surface);
+    marching_done(&marching);
+    return r;
 }
 
 /* Twice the area vector of a triangle, and its first corner. */

@@ -2,11 +2,11 @@
 
 /* The surface {s = level} as triangles, closed where a region ends, and its picture.
  *
- * Marching tetrahedra on the domain, every tetrahedron cut into 8^subdivision smaller ones; values
- * and normals are those of the spline itself, vertices are moved along their edge until the spline
- * is at the level. With a region it bounds the solid {s >= level} in it: where the region ends
- * (region_border.h) the surface follows its border. Open where it meets the domain's boundary. In
- * um. */
+ * Marching tetrahedra on the domain, cells that the surface passes being split until its triangles
+ * are as near to it as asked; values and normals are those of the spline itself, vertices are moved
+ * along their edge until the spline is at the level. With a region it bounds the solid {s >= level}
+ * in it: where the region ends (region_border.h) the surface follows its border. Open where it meets
+ * the domain's boundary. In um. */
 #ifndef GSN_RENDER_ISOSURFACE_H
 #define GSN_RENDER_ISOSURFACE_H
 
@@ -22,8 +22,6 @@
 extern "C" {
 #endif
 
-enum { GSN_ISOSURFACE_MOST_SUBDIVISION = 3 };
-
 /* Triangles are wound so that the normal by the right hand, like those of the vertices, points to
  * smaller s: out of the denser side. */
 struct gsn_trimesh {
@@ -32,20 +30,26 @@ struct gsn_trimesh {
     float (*normal)[3]; /* of length 1 */
     uint32_t (*triangle)[3];
     uint8_t *closing; /* of each vertex: 1 on the border of the region, 0 at the level */
+    double error_um;  /* no triangle is estimated to lie farther from the surface */
 };
 
 void gsn_trimesh_free(struct gsn_trimesh *surface);
 GSN_DEFINE_AUTO(gsn_trimesh);
 
-/* The subdivision, 0..2, at which the edges of an average tetrahedron are at most edge_um long. */
-unsigned gsn_isosurface_subdivision(const struct gsn_tets *mesh, double edge_um);
+struct gsn_isosurface_options {
+    double level;
+    const struct gsn_border *border; /* of a region; NULL: all of the domain */
+    double error_um; /* that triangles may lie from the surface; 0: not asked */
+    double edge_um;  /* of a cell that the surface passes, at most; 0: not asked. Neither asked: an
+                      * error of a hundredth of the mean edge of the mesh */
+    unsigned threads; /* 0: all; the same bytes on any number */
+};
 
-/* gives: the surface; it has no triangles when s does not cross the level. border: of a region, or
- * NULL for all of the domain. threads 0: all; the same bytes on any number. Fails with GSN_E_INPUT when the level is not finite or subdivision is above
- * GSN_ISOSURFACE_MOST_SUBDIVISION, GSN_E_LIMIT when the finer mesh passes 2^31 tetrahedra,
- * GSN_E_NOMEM. */
-int gsn_isosurface(const struct gsn_spline *spline, double level, const struct gsn_border *border,
-                   unsigned subdivision, unsigned threads, struct gsn_trimesh **ret_surface, struct gsn_error *err);
+/* gives: the surface; it has no triangles when s does not cross the level. Closed pieces smaller than
+ * an eighth of the mean edge of the mesh may be missed. It ends when there are 2^23 cells, whatever
+ * was asked. Fails with GSN_E_INPUT when a number is out of range, GSN_E_LIMIT, GSN_E_NOMEM. */
+int gsn_isosurface(const struct gsn_spline *spline, const struct gsn_isosurface_options *options,
+                   struct gsn_trimesh **ret_surface, struct gsn_error *err);
 
 /* um^2; of the triangles that close the region, those whose corners all lie on its border, in
  * *ret_closing unless NULL. */

@@ -239,6 +239,7 @@ static int measure_region(const struct voxels *v, const struct gsn_grid *grid,
 
 /* ---- pictures ---------------------------------------------------------------------------- */
 
+static const double SURFACE_WITHIN_PX = 0.5;
 enum { CUT_PX = 480, XRAY_PX = 440, XRAY_RAYS = 2, SURFACE_PX = 600, GUTTER_PX = 12 };
 
 static int encode_picture(const struct gsn_image *image, struct gsn_png_picture *picture,
@@ -448,19 +449,27 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
                         struct gsn_analysis *analysis, struct gsn_error *err)
 {
     struct gsn_png_picture *picture = next_picture(analysis, "isosurface", "Isosurface");
-    const double level = analysis->bound[analysis->bound_count / 2].threshold;
-    const struct gsn_tets *mesh = gsn_dms_mesh(analysis->space);
+    struct gsn_isosurface_options wanted = {
+        .level = analysis->bound[analysis->bound_count / 2].threshold,
+        .border = border,
+        .threads = options->threads,
+    };
     const struct gsn_view view = view_of(SURFACE_PX);
     double corner[8][3];
     const struct gsn_tets scene = { .vertex_count = 8, .vertex = corner };
     struct gsn_block_box_um box;
     const struct gsn_trimesh_style style = { .box = &box };
+    struct gsn_camera camera;
     gsn_auto(gsn_trimesh) triangles = NULL;
     gsn_auto(gsn_image) image = NULL;
-    int r = gsn_isosurface(analysis->spline, level, border, mesh->tet_count > 40000 ? 0 : 1,
-                           options->threads, &triangles, err);
+    int r;
 
     find_scene(region, &box, corner);
+    r = gsn_camera_frame(&view, &scene, &camera, err);
+    if (r < 0)
+        return r;
+    wanted.error_um = SURFACE_WITHIN_PX / camera.px_per_um;
+    r = gsn_isosurface(analysis->spline, &wanted, &triangles, err);
     if (r >= 0)
         r = gsn_trimesh_paint(triangles, &scene, &view, &style, options->threads, &image, err);
     if (r >= 0)
@@ -471,7 +480,7 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
                    "The surface where the density is %.4g: %zu triangles by marching tetrahedra, "
                    "normals from the spline's own gradient. It bounds what is denser, and follows "
                    "the edge of the region where that ends.",
-                   level, triangles->triangle_count);
+                   wanted.level, triangles->triangle_count);
     analysis->picture_count++;
     return GSN_OK;
 }

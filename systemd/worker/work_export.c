@@ -24,6 +24,9 @@
 
 static const double MOST_VOXELS = 1 << 28; /* 2 GiB of numbers */
 
+/* Of a voxel, that triangles may lie from the surface. */
+static const double SURFACE_WITHIN = 0.1;
+
 enum kind { KIND_MODEL, KIND_SURFACE, KIND_VOLUME, KIND_STACK };
 
 struct export;
@@ -99,25 +102,26 @@ static int choose_region(const struct export *e, const struct gsn_mask **ret_reg
 
 static int make_surface(struct export *e, struct gsn_error *err)
 {
-    const struct gsn_tets *mesh = gsn_dms_mesh(e->model->space);
     const struct gsn_mask *region;
     gsn_auto(gsn_border) border = NULL;
     gsn_auto(gsn_trimesh) surface = NULL;
-    double edge = e->step, area, closing;
+    struct gsn_isosurface_options options = { .level = e->level, .threads = e->request->threads };
+    double area, closing;
     int r = choose_region(e, &region, err);
 
     if (r < 0)
         return r;
-    /* As fine as the voxels that the model was fitted to; two halvings where these are not known.
-     */
-    if (isnan(edge) && e->model->region)
-        edge = fmin(e->model->region->at.step_um.x, e->model->region->at.step_um.z);
+    /* Within a part of the voxels that the model was fitted to, where these are known. */
+    if (!isnan(e->step))
+        options.edge_um = e->step;
+    else if (e->model->region)
+        options.error_um = SURFACE_WITHIN * fmin(e->model->region->at.step_um.x,
+                                                 e->model->region->at.step_um.z);
     if (region)
         r = gsn_border_new(region, e->request->threads, &border, err);
+    options.border = border;
     if (r >= 0)
-        r = gsn_isosurface(e->model->spline, e->level, border,
-                           isnan(edge) ? 2 : gsn_isosurface_subdivision(mesh, edge),
-                           e->request->threads, &surface, err);
+        r = gsn_isosurface(e->model->spline, &options, &surface, err);
     if (r >= 0 && surface->triangle_count == 0)
         r = gsn_fail(err, GSN_E_INPUT, "the density is %g nowhere in %s, so there is no surface",
                      e->level, region ? "the region" : "the domain");
@@ -125,10 +129,11 @@ static int make_surface(struct export *e, struct gsn_error *err)
         return r;
     area = gsn_trimesh_area(surface, &closing);
     (void)snprintf(e->said, sizeof e->said,
-                   region ? "%zu triangles, %.4g mm2, at level %g, closed by %.4g mm2 where the "
-                            "region ends"
-                          : "%zu triangles, %.4g mm2, at level %g",
-                   surface->triangle_count, 1e-6 * (area - closing), e->level, 1e-6 * closing);
+                   region ? "%zu triangles within %.2g um, %.4g mm2, at level %g, closed by %.4g "
+                            "mm2 where the region ends"
+                          : "%zu triangles within %.2g um, %.4g mm2, at level %g",
+                   surface->triangle_count, surface->error_um, 1e-6 * (area - closing), e->level,
+                   1e-6 * closing);
     return e->format->write(surface, &e->bytes, &e->size, err);
 }
 

@@ -145,6 +145,7 @@ TEST(running_out_of_memory_leaks_nothing)
     static const double low[3] = { 0 }, high[3] = { 1, 1, 1 };
     static const unsigned cells[3] = { 1, 1, 1 };
     static const struct quadric field = { 0.2, { 1, 2, 3 }, { 0 } };
+    const struct gsn_isosurface_options options = { .level = 2, .edge_um = 2, .threads = 1 };
     gsn_auto(gsn_colour_grid) stack = draw_stack();
     gsn_auto(gsn_grid) grid = NULL;
     gsn_auto(gsn_trimesh) surface = NULL;
@@ -154,7 +155,7 @@ TEST(running_out_of_memory_leaks_nothing)
 
     CHECK_OK(gsn_grid_new(&AT, &grid, &err), err);
     CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &field, &kuhn, &err), err);
-    CHECK_OK(gsn_isosurface(kuhn.spline, 2, NULL, 0, 1, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, &options, &surface, &err), err);
     model.space = kuhn.space;
     model.spline = kuhn.spline;
     CHECK_EVERY_OOM(write_all(stack, grid, &model, surface, &err), err);

@@ -172,13 +172,15 @@ static void voxels_done(struct voxels *v)
 static void score_surface(const struct shape *shape, const struct gsn_spline *spline,
                           const struct gsn_mask *region, struct row *row)
 {
+    /* Voxels are 1. */
+    const struct gsn_isosurface_options options = { .level = 0.5, .edge_um = 1.5, .threads = 2 };
     gsn_auto(gsn_trimesh) surface = NULL;
     gsn_auto_mem(double) angle = NULL;
     struct gsn_error err = { 0 };
     double squares = 0, angles = 0;
     size_t n = 0;
 
-    CHECK_OK(gsn_isosurface(spline, 0.5, NULL, 2, 2, &surface, &err), err);
+    CHECK_OK(gsn_isosurface(spline, &options, &surface, &err), err);
     angle = gsn_alloc_array(surface->vertex_count, sizeof *angle);
     CHECK(angle);
     for (size_t i = 0; i < surface->vertex_count; i++) {

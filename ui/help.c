@@ -113,6 +113,7 @@ static const struct gsn_help pages[] = {
       "stand side by side, on one scale. A file that exists is not written over.",
       "  --translucent        emission and absorption, in the colours of the density\n"
       "  --surface V          where the density is V; cuts show the density\n"
+      "  --true-colour        these two in the colours of the sections\n"
       "  --cells PERCENT      the model's cells apart, of that size, in the colours of their means\n"
       "  --window LOW,HIGH    densities of the colour scale, transparent to full\n"
       "                       (default: 0 to the greatest mean of a cell)\n"

@@ -14,6 +14,8 @@
  * look-up a sample, or a transform a pixel. */
 #include "pipeline/decode/icc.h"
 
+#include "pipeline/core/srgb.h"
+
 #include <lcms2.h>
 #include <math.h>
 #include <stdio.h>
@@ -58,11 +60,6 @@ static void profile_done(struct profile *profile)
         (void)cmsCloseProfile(profile->handle);
     if (profile->context)
         cmsDeleteContext(profile->context);
-}
-
-static double decode_srgb(double code)
-{
-    return code <= 0.04045 ? code / 12.92 : pow((code + 0.055) / 1.055, 2.4);
 }
 
 static double decode_straight(double code)
@@ -299,10 +296,10 @@ int gsn_icc_apply(struct gsn_picture *picture, const struct gsn_decode_limits *l
         return GSN_OK;
     }
     if (profile.curve[0] &&
-        (follows_curve(&profile, decode_srgb) || follows_curve(&profile, decode_straight))) {
+        (follows_curve(&profile, gsn_light_of_srgb) || follows_curve(&profile, decode_straight))) {
         name_profile(&profile, picture);
         picture->transfer =
-            follows_curve(&profile, decode_srgb) ? GSN_TRANSFER_SRGB : GSN_TRANSFER_LINEAR;
+            follows_curve(&profile, gsn_light_of_srgb) ? GSN_TRANSFER_SRGB : GSN_TRANSFER_LINEAR;
         return GSN_OK;
     }
     return use_profile(&profile, picture, limits, err);

@@ -14,6 +14,7 @@
  *
  * Failure: GSN_E_INPUT, GSN_E_LIMIT with the first complaint of libtiff; warnings are kept, not
  * shown. Cost: that of decoding; nothing is copied before. */
+#include "pipeline/core/srgb.h"
 #include "pipeline/decode/icc.h"
 #include "pipeline/decode/tiff_internal.h"
 #include "pipeline/decode/volume_internal.h"
@@ -607,11 +608,6 @@ static int check_colours(const struct gsn_tiff *t, struct gsn_error *err)
 
 /* --- how samples relate to light --- */
 
-static double srgb_to_linear(double v)
-{
-    return v <= 0.04045 ? v / 12.92 : pow((v + 0.055) / 1.055, 2.4);
-}
-
 static double decode_straight(double v)
 {
     return v;
@@ -642,7 +638,7 @@ static enum gsn_transfer read_transfer(const struct gsn_tiff *t, struct gsn_pict
         return GSN_TRANSFER_UNKNOWN;
     for (unsigned c = 0; c < 3 && curve[c]; c++) {
         linear = linear && follows_curve(curve[c], count, decode_straight);
-        srgb = srgb && follows_curve(curve[c], count, srgb_to_linear);
+        srgb = srgb && follows_curve(curve[c], count, gsn_light_of_srgb);
     }
     return linear ? GSN_TRANSFER_LINEAR : srgb ? GSN_TRANSFER_SRGB : GSN_TRANSFER_UNKNOWN;
 }

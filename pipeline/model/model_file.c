@@ -28,7 +28,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__,
                "the checksum is over the bytes of the file, which are little-endian");
 
 enum {
-    FORMAT = 2,               /* 1 has no region */
+    FORMAT = 3,               /* 1 has no region, 2 no colours */
     LONG_ARRAY = 8192,        /* values; shorter ones are not worth a chunk */
     CHUNK_ROWS = 16384,       /* of a long array */
     IMAGE_STEP = 1 << 20,     /* by which the file in memory grows */
@@ -235,9 +235,10 @@ static int write_region(hid_t above, const struct gsn_mask *region, struct gsn_e
 }
 
 /* Everything that the model is, in one order, whoever holds it. */
-static int sum_up(const struct gsn_spline *spline, const struct gsn_model_cells *cells,
-                  const struct gsn_mask *region, const struct gsn_model_notes *notes,
-                  struct gsn_digest *ret_digest, struct gsn_error *err)
+static int sum_up(const struct gsn_spline *spline, const struct gsn_spline *const *colour,
+                  const struct gsn_model_cells *cells, const struct gsn_mask *region,
+                  const struct gsn_model_notes *notes, struct gsn_digest *ret_digest,
+                  struct gsn_error *err)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
@@ -261,6 +262,9 @@ static int sum_up(const struct gsn_spline *spline, const struct gsn_model_cells 
         { notes->version, strlen(notes->version) + 1 },
         { region ? &lattice : NULL, sizeof lattice },
         { region ? region->inside : NULL, region ? gsn_lattice_count(&region->at) : 0 },
+        { colour ? gsn_spline_controls(colour[0]) : NULL, gsn_dms_controls(space) * sizeof(double) },
+        { colour ? gsn_spline_controls(colour[1]) : NULL, gsn_dms_controls(space) * sizeof(double) },
+        { colour ? gsn_spline_controls(colour[2]) : NULL, gsn_dms_controls(space) * sizeof(double) },
     };
     gsn_auto(gsn_hash) hash = NULL;
     int r = gsn_hash_new(&hash, err);
@@ -271,7 +275,10 @@ static int sum_up(const struct gsn_spline *spline, const struct gsn_model_cells 
     return r < 0 ? r : gsn_hash_end(hash, ret_digest, err);
 }
 
+static const char *const COLOURS[3] = { "red", "green", "blue" };
+
 static int write_model(hid_t file, const struct gsn_spline *spline,
+                       const struct gsn_spline *const *colour,
                        const struct gsn_model_cells *cells, const struct gsn_mask *region,
                        const struct gsn_model_notes *notes, struct gsn_error *err)
 {
@@ -281,7 +288,7 @@ static int write_model(hid_t file, const struct gsn_spline *spline,
     const int64_t facts[3] = { FORMAT, gsn_dms_degree(space), gsn_dms_sharing(space) };
     auto_id group = create_group(file, "gieson");
     struct gsn_digest digest;
-    int r = sum_up(spline, cells, region, notes, &digest, err);
+    int r = sum_up(spline, colour, cells, region, notes, &digest, err);
 
     if (r >= 0 && group < 0)
         r = fail_item("make", "gieson", err);
@@ -307,6 +314,9 @@ static int write_model(hid_t file, const struct gsn_spline *spline,
     if (r >= 0)
         r = write_doubles(group, "controls", gsn_dms_controls(space), 0,
                           gsn_spline_controls(spline), err);
+    for (int c = 0; colour && r >= 0 && c < 3; c++)
+        r = write_doubles(group, COLOURS[c], gsn_dms_controls(space), 0,
+                          gsn_spline_controls(colour[c]), err);
     return r < 0 || !region ? r : write_region(group, region, err);
 }
 
@@ -347,9 +357,10 @@ static int take_image(hid_t file, uint8_t **ret_bytes, size_t *ret_size, struct 
     return GSN_OK;
 }
 
-int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_model_cells *cells,
-                         const struct gsn_mask *region, const struct gsn_model_notes *notes,
-                         uint8_t **ret_bytes, size_t *ret_size, struct gsn_error *err)
+int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_spline *const *colour,
+                         const struct gsn_model_cells *cells, const struct gsn_mask *region,
+                         const struct gsn_model_notes *notes, uint8_t **ret_bytes,
+                         size_t *ret_size, struct gsn_error *err)
 {
     auto_id file = open_in_memory(NULL, 0);
     int r;
@@ -360,7 +371,7 @@ int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_model
         return fail_item("make", "model.vtkhdf", err);
     r = write_picture(file, spline, cells, err);
     if (r >= 0)
-        r = write_model(file, spline, cells, region, notes, err);
+        r = write_model(file, spline, colour, cells, region, notes, err);
     return r < 0 ? r : take_image(file, ret_bytes, ret_size, err);
 }
 
@@ -506,6 +517,25 @@ static int read_spline(hid_t group, const int64_t facts[3], struct gsn_model *mo
     return r < 0 ? r : gsn_spline_new(model->space, control, &model->spline, err);
 }
 
+/* All three, or none. */
+static int read_colours(hid_t group, struct gsn_model *model, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    for (int c = 0; r >= 0 && c < 3; c++) {
+        gsn_auto_mem(double) control = NULL;
+        size_t controls = 0;
+
+        r = read_array(group, COLOURS[c], H5T_NATIVE_DOUBLE, sizeof(double), 0, &controls,
+                       &control, err);
+        if (r >= 0 && gsn_dms_controls(model->space) != controls)
+            r = refuse_item(COLOURS[c], err);
+        if (r >= 0)
+            r = gsn_spline_new(model->space, control, &model->colour[c], err);
+    }
+    return r;
+}
+
 static int read_region(hid_t above, struct gsn_mask **ret_region, struct gsn_error *err)
 {
     auto_id group = H5Gopen2(above, "region", H5P_DEFAULT);
@@ -542,6 +572,11 @@ static int read_region(hid_t above, struct gsn_mask **ret_region, struct gsn_err
     return GSN_OK;
 }
 
+const struct gsn_spline *const *gsn_model_colours(const struct gsn_model *model)
+{
+    return model->colour[0] ? (const struct gsn_spline *const *)model->colour : NULL;
+}
+
 static int check_sum(hid_t group, const struct gsn_model *model, struct gsn_error *err)
 {
     const struct gsn_model_notes notes = { model->name, model->parameters, model->version };
@@ -550,7 +585,8 @@ static int check_sum(hid_t group, const struct gsn_model *model, struct gsn_erro
     int r = read_text(group, "sha256", &kept, err);
 
     if (r >= 0)
-        r = sum_up(model->spline, &model->cells, model->region, &notes, &digest, err);
+        r = sum_up(model->spline, gsn_model_colours(model), &model->cells, model->region, &notes,
+                   &digest, err);
     if (r >= 0 && strcmp(kept, digest.hex) != 0)
         r = gsn_fail(err, GSN_E_INPUT,
                      "the model was changed since it was kept: its checksum is %.12s..., its "
@@ -583,6 +619,8 @@ int gsn_model_file_read(const uint8_t *bytes, size_t size, struct gsn_model **re
         r = read_spline(group, facts, model, err);
     if (r >= 0)
         r = read_cells(cells, gsn_dms_mesh(model->space)->tet_count, &model->cells, err);
+    if (r >= 0 && H5Lexists(group, COLOURS[0], H5P_DEFAULT) > 0)
+        r = read_colours(group, model, err);
     if (r >= 0 && H5Lexists(group, "region", H5P_DEFAULT) > 0)
         r = read_region(group, &model->region, err);
     if (r >= 0)
@@ -598,6 +636,8 @@ void gsn_model_free(struct gsn_model *model)
     if (!model)
         return;
     gsn_spline_free(model->spline);
+    for (int c = 0; c < 3; c++)
+        gsn_spline_free(model->colour[c]);
     gsn_dms_free(model->space);
     gsn_mask_free(model->region);
     gsn_free(model->cells.density);

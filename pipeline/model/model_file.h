@@ -12,8 +12,8 @@
  * in the seams around the faces the spline is not p_I, and gsn_spline_residual() bounds by how
  * much. Cell data are what is known of each tetrahedron.
  *
- * /gieson holds the model itself, to the last bit: mesh, knots, control values, degree and sharing,
- * the region of interest, the parameters of the run, and a SHA-256 over all of them. The same model
+ * /gieson holds the model itself, to the last bit: mesh, knots, control values, those of red, green
+ * and blue where the specimen has colours, degree and sharing, the region of interest, the parameters of the run, and a SHA-256 over all of them. The same model
  * gives the same bytes with the same version of the HDF5 library; no time is kept. */
 #ifndef GSN_MODEL_MODEL_FILE_H
 #define GSN_MODEL_MODEL_FILE_H
@@ -39,24 +39,29 @@ struct gsn_model_notes {
     const char *version;    /* of the program that fitted it */
 };
 
-/* gives: the bytes of a file. borrows: everything; region: the voxels that the figures of the run
- * are over, or NULL. Fails with GSN_E_IO when the HDF5 library does, naming what was written, and
+/* gives: the bytes of a file. borrows: everything; colour: red, green and blue on the same space as
+ * light, 0..1, or NULL; region: the voxels that the figures of the run are over, or NULL. Fails with GSN_E_IO when the HDF5 library does, naming what was written, and
  * with GSN_E_NOMEM. Not for two threads at once. */
-int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_model_cells *cells,
-                         const struct gsn_mask *region, const struct gsn_model_notes *notes,
-                         uint8_t **ret_bytes, size_t *ret_size, struct gsn_error *err);
+int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_spline *const *colour,
+                         const struct gsn_model_cells *cells, const struct gsn_mask *region,
+                         const struct gsn_model_notes *notes, uint8_t **ret_bytes,
+                         size_t *ret_size, struct gsn_error *err);
 
-/* A model that was read: the spline keeps the space; cells are NULL where the file has none, and so
- * is the region (files of format 1 have none). */
+/* A model that was read: the splines keep the space; cells are NULL where the file has none, and so
+ * are the region (files of format 1 have none) and the colours (nor has format 2). */
 struct gsn_model {
     struct gsn_dms *space;
     struct gsn_spline *spline;
+    struct gsn_spline *colour[3];
     struct gsn_model_cells cells;
     struct gsn_mask *region;
     char *name, *parameters, *version;
 };
 void gsn_model_free(struct gsn_model *model);
 GSN_DEFINE_AUTO(gsn_model);
+
+/* borrowed: the three colours; NULL: the model has none. */
+const struct gsn_spline *const *gsn_model_colours(const struct gsn_model *model);
 
 /* gives: the model, every number as it was written. borrows: bytes, which the caller has held
  * against the hash that the run keeps of them: HDF5 is no reader for hostile or damaged files.

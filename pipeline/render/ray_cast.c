@@ -30,9 +30,11 @@
 
 #include "pipeline/core/geom.h"
 #include "pipeline/core/parallel.h"
+#include "pipeline/core/srgb.h"
 #include "pipeline/model/pieces.h"
 #include "pipeline/render/rays_internal.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -56,7 +58,7 @@ struct casting {
     const struct gsn_ray_clip *clip;
     const struct gsn_ray_style *style;
     struct gsn_camera camera; /* of rays, style->across a pixel's side */
-    int with_slope;
+    int with_slope, with_tint; /* gradients, colours of the style are kept with pieces */
     struct gsn_ray_colours colours;
     double blur;
     size_t items; /* four faces and a tetrahedron each */
@@ -188,6 +190,7 @@ struct tile {
     struct gsn_ray ray[TILE * TILE];
     struct kept *kept;
     double (*slope)[3][4]; /* of kept, if gradients are asked for */
+    double (*tint)[3][4];  /* and colours */
     size_t count, room;
     uint32_t *order;  /* of kept, by ray, and there by where they begin */
     uint32_t *active; /* of kept, on a stretch; room for all */
@@ -198,6 +201,7 @@ static void tile_done(struct tile *tile)
 {
     gsn_free(tile->kept);
     gsn_free(tile->slope);
+    gsn_free(tile->tint);
     gsn_free(tile->order);
     gsn_free(tile->active);
     gsn_ray_spans_done(&tile->spans);
@@ -205,25 +209,41 @@ static void tile_done(struct tile *tile)
 }
 #define auto_tile __attribute__((cleanup(tile_done))) struct tile
 
+static int grow_triples(double (**triples)[3][4], size_t room, struct gsn_error *err)
+{
+    double(*grown)[3][4] = gsn_realloc_array(*triples, room, sizeof *grown);
+
+    if (!grown)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
+    *triples = grown;
+    return GSN_OK;
+}
+
+static int grow_pieces(struct tile *tile, size_t room, struct gsn_error *err)
+{
+    struct kept *kept = gsn_realloc_array(tile->kept, room, sizeof *kept);
+    int r = GSN_OK;
+
+    if (!kept)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
+    tile->kept = kept;
+    if (tile->casting->with_slope)
+        r = grow_triples(&tile->slope, room, err);
+    if (r >= 0 && tile->casting->with_tint)
+        r = grow_triples(&tile->tint, room, err);
+    if (r >= 0)
+        tile->room = room;
+    return r;
+}
+
 static int keep_pieces(struct tile *tile, const struct gsn_line_piece *piece, size_t count,
                        size_t ray, int home, struct gsn_error *err)
 {
     if (tile->count + count > tile->room) {
-        const size_t room = 2 * tile->room + count + 1024;
-        struct kept *kept = gsn_realloc_array(tile->kept, room, sizeof *kept);
+        const int r = grow_pieces(tile, 2 * tile->room + count + 1024, err);
 
-        if (kept)
-            tile->kept = kept;
-        if (kept && tile->casting->with_slope) {
-            double(*slope)[3][4] = gsn_realloc_array(tile->slope, room, sizeof *slope);
-
-            if (!slope)
-                return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
-            tile->slope = slope;
-        }
-        if (!kept)
-            return gsn_fail(err, GSN_E_NOMEM, "out of memory for the pieces of rays");
-        tile->room = room;
+        if (r < 0)
+            return r;
     }
     for (size_t i = 0; i < count; i++) {
         struct kept *kept = &tile->kept[tile->count];
@@ -240,21 +260,61 @@ static int keep_pieces(struct tile *tile, const struct gsn_line_piece *piece, si
     return GSN_OK;
 }
 
-/* What one tetrahedron or face gives to the rays of the tile. */
-static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *face,
+/* One tetrahedron or face of one spline, made ready for lines. */
+struct item_line {
+    int home;
+    struct gsn_tet_line tet;
+    struct gsn_face_line face;
+};
+
+/* Of the spline that is drawn, and of the three of its colours. */
+enum { MOST_LINES = 4 };
+
+static void item_line_init(const struct gsn_spline *spline, uint32_t item, struct item_line *line)
+{
+    line->home = item % 5 == 4;
+    if (line->home)
+        gsn_tet_line_init(spline, item / 5, &line->tet);
+    else
+        (void)gsn_face_line_init(spline, item / 5, item % 5, &line->face);
+}
+
+static size_t find_pieces(const struct item_line *line, const struct gsn_ray *ray, int with_slope,
+                          struct gsn_line_piece piece[GSN_FACE_CORRECTION_MAX_LEAVES])
+{
+    return line->home ? (size_t)gsn_tet_line_piece(&line->tet, ray->start, ray->into, ray->from,
+                                                   ray->to, with_slope, piece)
+                      : gsn_face_line_pieces(&line->face, ray->start, ray->into, ray->from,
+                                             ray->to, with_slope, piece);
+}
+
+/* Colours of the pieces kept last: splines on one space have their pieces in the same places. */
+static void tint_pieces(struct tile *tile, const struct item_line *line, const struct gsn_ray *ray,
+                        size_t count)
+{
+    struct gsn_line_piece piece[GSN_FACE_CORRECTION_MAX_LEAVES];
+
+    for (int c = 0; c < 3; c++) {
+        const size_t same = find_pieces(&line[c], ray, 0, piece);
+
+        assert(same == count);
+        for (size_t i = 0; i < same; i++)
+            memcpy(tile->tint[tile->count - count + i][c], piece[i].value, sizeof piece->value);
+    }
+}
+
+/* What one tetrahedron or face gives to the rays of the tile. line: room for MOST_LINES. */
+static int cast_item(struct tile *tile, uint32_t item, struct item_line *line,
                      struct gsn_error *err)
 {
     const struct casting *casting = tile->casting;
     const struct gsn_ray_reach reach = casting->reach[item];
-    const int home = item % 5 == 4;
     struct gsn_line_piece piece[GSN_FACE_CORRECTION_MAX_LEAVES];
-    struct gsn_tet_line tet;
     int r = GSN_OK;
 
-    if (home)
-        gsn_tet_line_init(casting->spline, item / 5, &tet);
-    else
-        (void)gsn_face_line_init(casting->spline, item / 5, item % 5, face);
+    item_line_init(casting->spline, item, line);
+    for (int c = 0; casting->with_tint && c < 3; c++)
+        item_line_init(casting->style->colour[c], item, &line[1 + c]);
     for (uint32_t y = 0; r >= 0 && y < tile->size[1]; y++) {
         if ((int)(tile->low[1] + y) < reach.low[1] || (int)(tile->low[1] + y) > reach.high[1])
             continue;
@@ -266,11 +326,10 @@ static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *fac
             if ((int)(tile->low[0] + x) < reach.low[0] ||
                 (int)(tile->low[0] + x) > reach.high[0] || !(ray->from < ray->to))
                 continue;
-            count = home ? (size_t)gsn_tet_line_piece(&tet, ray->start, ray->into, ray->from,
-                                                      ray->to, casting->with_slope, piece)
-                         : gsn_face_line_pieces(face, ray->start, ray->into, ray->from, ray->to,
-                                                casting->with_slope, piece);
-            r = keep_pieces(tile, piece, count, at, home, err);
+            count = find_pieces(line, ray, casting->with_slope, piece);
+            r = keep_pieces(tile, piece, count, at, line->home, err);
+            if (r >= 0 && casting->with_tint && count > 0)
+                tint_pieces(tile, line + 1, ray, count);
         }
     }
     return r;
@@ -280,7 +339,7 @@ static int cast_item(struct tile *tile, uint32_t item, struct gsn_face_line *fac
 
 struct stretch {
     double from, length;           /* um */
-    double value[4], slope[3][4]; /* in 0..1 */
+    double value[4], slope[3][4], tint[3][4]; /* in 0..1 */
     double share;                  /* of the tolerance */
     int fresh;                     /* nothing of the ray is seen just before it */
 };
@@ -383,6 +442,19 @@ struct glow {
     double middle[3]; /* the colour that is taken off */
 };
 
+/* The colour at v of the part, where the density has this share of the window. */
+static void colour_at(const struct glow *glow, double v, double share, double ret[3])
+{
+    const double at = glow->at + glow->scale * v;
+
+    if (!glow->casting->with_tint) {
+        gsn_ray_colour_at(&glow->casting->colours, share, ret);
+        return;
+    }
+    for (int c = 0; c < 3; c++)
+        ret[c] = fmin(1, fmax(0, poly_at(glow->stretch->tint[c], at)));
+}
+
 /* How bright: darker where the surface of equal density is seen edge on, the more the steeper. */
 static double shade_at(const struct glow *glow, double v)
 {
@@ -409,7 +481,7 @@ static void add_glow(const struct glow *glow, double v, double weight, double su
     const double shade = shade_at(glow, v);
     double colour[3];
 
-    gsn_ray_colour_at(&glow->casting->colours, poly_at(glow->share, v), colour);
+    colour_at(glow, v, poly_at(glow->share, v), colour);
     for (int c = 0; c < 3; c++)
         sum[c] += bright * (shade * colour[c] - glow->middle[c]);
 }
@@ -449,6 +521,25 @@ static void integrate_glow(const struct glow *glow, double low, double high, dou
         sum[c] += fine[c];
 }
 
+/* How much colours may vary over the part, shading left out. */
+static double spread_of(const struct glow *glow)
+{
+    double low, high, spread = 0;
+
+    if (!glow->casting->with_tint) {
+        poly_range(glow->share, &low, &high);
+        return glow->casting->colours.steepest * (high - low);
+    }
+    for (int c = 0; c < 3; c++) {
+        double part[4] = { 0 };
+
+        add_shifted(glow->stretch->tint[c], glow->at, glow->scale, part);
+        poly_range(part, &low, &high);
+        spread = fmax(spread, high - low);
+    }
+    return spread;
+}
+
 /* The part of a stretch between two crossings of the window's ends. */
 static void add_part(const struct casting *casting, const struct gsn_ray *ray,
                      const struct stretch *stretch, const double share[4], double low, double high,
@@ -457,7 +548,7 @@ static void add_part(const struct casting *casting, const struct gsn_ray *ray,
     const double rate = (high - low) * stretch->length / casting->style->opaque_um;
     const double middle = poly_at(share, (low + high) / 2);
     struct glow glow = { casting, stretch, ray, low, high - low, { 0 }, { 0 }, { 0 }, { 0 } };
-    double gone, sum[3] = { 0 }, least, most, spread, allowed;
+    double gone, sum[3] = { 0 }, spread, allowed;
 
     if (middle <= 0)
         return;
@@ -470,11 +561,10 @@ static void add_part(const struct casting *casting, const struct gsn_ray *ray,
         glow.depth[i + 1] = glow.rate[i] / (i + 1);
     }
     gone = -expm1(-(glow.depth[1] + glow.depth[2] + glow.depth[3] + glow.depth[4]));
-    gsn_ray_colour_at(&casting->colours, fmin(1, middle), glow.middle);
+    colour_at(&glow, 0.5, fmin(1, middle), glow.middle);
     for (int c = 0; c < 3; c++)
         glow.middle[c] *= shade_at(&glow, 0.5);
-    poly_range(glow.share, &least, &most);
-    spread = casting->with_slope ? 1 : casting->colours.steepest * (most - least);
+    spread = casting->with_slope ? 1 : spread_of(&glow);
     /* The tolerance is shared by the light of the part, but no less than evenly over parts. */
     allowed = GSN_RAY_PART_TOLERANCE * fmax(gone, stretch->share / seen->left);
     if (gone * spread > allowed)
@@ -543,6 +633,13 @@ static void light_surface(const struct gsn_camera *camera, const double normal[3
         ret[c] = fmin(1, base[c] * (0.30 + 0.62 * diffuse + 0.16 * fill) + 0.15 * shine);
 }
 
+/* The style's colour at v of the stretch, as codes. */
+static void see_colour(const struct stretch *stretch, double v, double ret[3])
+{
+    for (int c = 0; c < 3; c++)
+        ret[c] = gsn_srgb_of_light(fmin(1, fmax(0, poly_at(stretch->tint[c], v))));
+}
+
 static void meet_surface(const struct casting *casting, const struct gsn_ray *ray,
                          const struct stretch *stretch, double v, int cut, struct seen *seen)
 {
@@ -557,11 +654,18 @@ static void meet_surface(const struct casting *casting, const struct gsn_ray *ra
     seen->left = 0;
     if (!cut) {
         (void)gsn_spline_eval(casting->spline, u, &hint, &value, gradient);
-        light_surface(&casting->camera, gradient, bone, seen->light);
+        memcpy(base, bone, sizeof base);
+        if (casting->with_tint)
+            see_colour(stretch, v, base);
+        light_surface(&casting->camera, gradient, base, seen->light);
         return;
     }
-    gsn_ray_colour_at(&casting->colours,
-                      (poly_at(stretch->value, v) - style->low) / (style->high - style->low), base);
+    if (casting->with_tint)
+        see_colour(stretch, v, base);
+    else
+        gsn_ray_colour_at(&casting->colours,
+                          (poly_at(stretch->value, v) - style->low) / (style->high - style->low),
+                          base);
     memcpy(seen->light, base, sizeof base);
     /* A cut is flat and shows its colour as the scale has it; the border of the region is round. */
     if (clip && clip->border &&
@@ -595,6 +699,8 @@ static void sum_active(const struct tile *tile, size_t count, double from, doubl
         add_shifted(kept->value, at, scale, ret->value);
         for (int c = 0; tile->casting->with_slope && c < 3; c++)
             add_shifted(tile->slope[tile->active[i]][c], at, scale, ret->slope[c]);
+        for (int c = 0; tile->casting->with_tint && c < 3; c++)
+            add_shifted(tile->tint[tile->active[i]][c], at, scale, ret->tint[c]);
     }
 }
 
@@ -768,11 +874,11 @@ static int cast_tile(size_t index, void *context, struct gsn_error *err)
     const struct gsn_camera *camera = &casting->camera;
     const size_t number = casting->first_tile + index;
     auto_tile tile = { .casting = casting };
-    gsn_auto_mem(struct gsn_face_line) face = gsn_alloc_array(1, sizeof *face);
+    gsn_auto_mem(struct item_line) line = gsn_alloc_array(MOST_LINES, sizeof *line);
     size_t start[TILE * TILE + 2];
     int r = GSN_OK;
 
-    if (!face)
+    if (!line)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a tile of the picture");
     tile.low[0] = (uint32_t)(number % casting->bins.across) * TILE;
     tile.low[1] = (uint32_t)(number / casting->bins.across) * TILE;
@@ -786,7 +892,7 @@ static int cast_tile(size_t index, void *context, struct gsn_error *err)
         }
     }
     for (size_t i = casting->bins.start[number]; r >= 0 && i < casting->bins.start[number + 1]; i++)
-        r = cast_item(&tile, casting->bins.item[i], face, err);
+        r = cast_item(&tile, casting->bins.item[i], line, err);
     if (r >= 0)
         r = order_pieces(&tile, start, err);
     for (uint32_t y = 0; r >= 0 && y < tile.size[1]; y++) {
@@ -838,6 +944,7 @@ static int cast_rays(struct casting *casting, const struct gsn_camera *camera, u
     if (r < 0)
         return r;
     casting->with_slope = light && casting->style->shading > 0;
+    casting->with_tint = casting->mode != MODE_XRAY && casting->style->colour != NULL;
     if (casting->with_slope)
         casting->blur = gsn_ray_blur(camera, casting->style);
     gsn_ray_colours_init(casting->style->map, &casting->colours);
@@ -871,11 +978,14 @@ static int make_picture(struct casting *casting, const struct gsn_camera *camera
                         const struct gsn_progress *progress, struct gsn_ray_picture **ret_picture,
                         struct gsn_error *err)
 {
-    const int r = cast_rays(casting, camera, threads, progress, err);
+    int r = cast_rays(casting, camera, threads, progress, err);
 
-    return r < 0 ? r
-                 : gsn_ray_mean_light((const float(*)[4])casting->rgba, casting->style->across,
-                                      camera->width, camera->height, ret_picture, err);
+    if (r >= 0)
+        r = gsn_ray_mean_light((const float(*)[4])casting->rgba, casting->style->across,
+                               camera->width, camera->height, ret_picture, err);
+    if (r >= 0)
+        (*ret_picture)->is_light = casting->mode == MODE_VOLUME && casting->with_tint;
+    return r;
 }
 
 int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *camera,

@@ -36,15 +36,18 @@ struct gsn_ray_style {
     double low, high;
     double opaque_um;
     enum gsn_colour_map map;
+    const struct gsn_spline *const *colour; /* red, green, blue as light, 0..1, on the space of the
+                                               spline that is drawn; NULL: the map's colours */
     double shading;  /* 0..1: how much darker is what the light from the eye grazes, by the exact
                         gradient */
     double level;    /* of gsn_ray_surface() alone */
     unsigned across; /* rays a pixel's side, 1..4 */
 };
 
-/* Red, green, blue, each times the opacity, and the opacity; all 0..1. */
+/* Red, green, blue, each times the opacity, and the opacity; all 0..1. Codes of sRGB, or light. */
 struct gsn_ray_picture {
     uint32_t width, height;
+    int is_light;
     float (*rgba)[4];
 };
 void gsn_ray_picture_free(struct gsn_ray_picture *picture);
@@ -62,8 +65,9 @@ int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_camera *camer
                  unsigned threads, const struct gsn_progress *progress,
                  struct gsn_plane **ret_plane, struct gsn_error *err);
 
-/* Light that is emitted in proportion to the extinction in the colour of the density, and absorbed
- * on its way to the eye. Each colour of a ray is good to GSN_RAY_TOLERANCE. */
+/* Light that is emitted in proportion to the extinction, in the colour of the density or in that of
+ * style's colour, and absorbed on its way to the eye. With style's colour the picture is of light, not
+ * of codes. Each colour of a ray is good to GSN_RAY_TOLERANCE. */
 int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *camera,
                    const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                    unsigned threads, const struct gsn_progress *progress,
@@ -73,7 +77,7 @@ int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *cam
 
 /* The nearest place where s rises to the level, lit by its exact gradient. Where the ray comes in
  * at more than the level already, on a clip or the border of a region, the density there is shown
- * in the colours of the window. */
+ * in the colours of the window. With style's colour the surface has that, and so has a cut. */
 int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *camera,
                     const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                     unsigned threads, const struct gsn_progress *progress,
@@ -90,7 +94,7 @@ int gsn_xray_paint(const struct gsn_plane *plane, const struct gsn_camera *camer
                    struct gsn_error *err);
 
 /* gives: the sheet: the picture on white, title, note, the block's cube, the axes of box (NULL:
- * none), scale bar, and the colour scale of the style. Fails alike. */
+ * none), scale bar, and the colour scale of the style unless it has colours of its own. Fails alike. */
 int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera *camera,
                   const struct gsn_ray_style *style, const struct gsn_block_box_um *box,
                   const char *title, const char *note,

@@ -4,9 +4,8 @@
  * way the block lies (block_axes.h).
  *
  * Failure: GSN_E_NOMEM; GSN_E_NOTFOUND without the fonts (lettering.h). Cost: linear in the pixels. */
+#include "pipeline/core/srgb.h"
 #include "pipeline/render/ray_cast.h"
-
-#include <math.h>
 
 int gsn_xray_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,
                    const struct gsn_block_box_um *box, const double range[2], const char *title,
@@ -46,7 +45,7 @@ int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera
     const struct gsn_plate plate = { .title = title,
                                      .note = note,
                                      .um_per_px = 1 / camera->px_per_um,
-                                     .has_scale = 1,
+                                     .has_scale = !style->colour,
                                      .unit = "density",
                                      .low = style->low,
                                      .high = style->high,
@@ -62,8 +61,13 @@ int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera
             const float *p = picture->rgba[(size_t)j * picture->width + i];
             uint8_t rgb[3];
 
-            for (int c = 0; c < 3; c++)
-                rgb[c] = (uint8_t)fminf(255, 255 * (p[c] + 1 - p[3]) + 0.5F);
+            for (int c = 0; c < 3; c++) {
+                const double on_white = fmin(1, (double)p[c] + 1 - (double)p[3]);
+
+                rgb[c] = (uint8_t)(255 * (picture->is_light ? gsn_srgb_of_light(on_white)
+                                                            : on_white) +
+                                   0.5);
+            }
             gsn_canvas_put(sheet, x + (int)i, y + (int)j,
                            (struct gsn_colour){ rgb[0], rgb[1], rgb[2] });
         }

@@ -19,6 +19,7 @@
 #include "pipeline/render/cut.h"
 #include "pipeline/render/isosurface.h"
 #include "pipeline/render/ray_cast.h"
+#include "pipeline/stain/flat_field.h"
 #include "pipeline/stain/normalisation.h"
 
 #include <assert.h>
@@ -44,6 +45,7 @@ struct voxels {
     double (*at)[3];
     float *value;
     uint8_t *fold; /* 0 and 1 from section to section */
+    size_t *voxel; /* of the grid */
     double low, high;
 };
 
@@ -52,10 +54,12 @@ static void voxels_done(struct voxels *v)
     gsn_free(v->at);
     gsn_free(v->value);
     gsn_free(v->fold);
+    gsn_free(v->voxel);
 }
 
-static void take_voxel(struct voxels *v, struct gsn_vec3 u, size_t plane, float value)
+static void take_voxel(struct voxels *v, struct gsn_vec3 u, size_t plane, size_t voxel, float value)
 {
+    v->voxel[v->count] = voxel;
     v->fold[v->count] = plane % 2;
     v->at[v->count][0] = u.x;
     v->at[v->count][1] = u.y;
@@ -88,7 +92,7 @@ static int gather_voxels(const struct gsn_grid *grid, const struct gsn_mask *reg
                     if (pass == 0)
                         v->count++;
                     else
-                        take_voxel(v, u, z, grid->value[i]);
+                        take_voxel(v, u, z, i, grid->value[i]);
                 }
         if (pass == 1)
             break;
@@ -97,7 +101,8 @@ static int gather_voxels(const struct gsn_grid *grid, const struct gsn_mask *reg
         v->at = gsn_alloc_array(v->count, sizeof *v->at);
         v->value = gsn_alloc_array(v->count, sizeof *v->value);
         v->fold = gsn_alloc_array(v->count, sizeof *v->fold);
-        if (!v->at || !v->value || !v->fold)
+        v->voxel = gsn_alloc_array(v->count, sizeof *v->voxel);
+        if (!v->at || !v->value || !v->fold || !v->voxel)
             return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu samples", v->count);
         v->count = 0;
     }
@@ -163,6 +168,53 @@ static int fit_spline(const struct voxels *v, const struct gsn_grid *grid,
         if (analysis->fit.round[i].accepted)
             analysis->over_tolerance = analysis->fit.round[i].over_tolerance;
     return r;
+}
+
+/* The colours of samples as light, those that have one; returns how many. */
+static size_t gather_colours(const struct voxels *v, const struct gsn_colour_grid *colour,
+                             double (*at)[3], double *const value[3])
+{
+    size_t n = 0;
+
+    for (size_t i = 0; i < v->count; i++) {
+        const uint8_t *const rgb = colour->rgb + 3 * v->voxel[i];
+
+        if (!rgb[0] && !rgb[1] && !rgb[2])
+            continue;
+        memcpy(at[n], v->at[i], sizeof at[n]);
+        for (int c = 0; c < 3; c++)
+            value[c][n] = gsn_light_of_sample(GSN_LIGHT_SRGB, rgb[c], 8);
+        n++;
+    }
+    return n;
+}
+
+/* True colour as equation (4) asks: three more splines of the same space, as smooth as the density. */
+static int fit_colours(const struct voxels *v, const struct gsn_analysis_options *options,
+                       struct gsn_analysis *analysis, struct gsn_error *err)
+{
+    const struct gsn_fit_options fit = { .smoothing = GSN_FIT_SMOOTHING,
+                                         .jump = analysis->fit.fit.jump,
+                                         .threads = options->threads,
+                                         .forgiving = 1,
+                                         .progress = options->progress };
+    gsn_auto_mem(__typeof__(double[3])) at = gsn_alloc_array(v->count, sizeof *at);
+    gsn_auto_mem(double) value = gsn_alloc_array(v->count, 3 * sizeof *value);
+    struct gsn_fit_report report[3];
+    double *channel[3];
+    struct gsn_samples samples;
+    size_t n;
+
+    if (!at || !value)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu colours", v->count);
+    for (int c = 0; c < 3; c++)
+        channel[c] = value + (size_t)c * v->count;
+    n = gather_colours(v, options->colour, at, channel);
+    if (n == 0)
+        return GSN_OK;
+    samples = (struct gsn_samples){ .count = n, .at = (const double(*)[3])at };
+    return gsn_fit_channels(analysis->space, &samples, (const double *const *)channel, 3, &fit,
+                            analysis->colour, report, err);
 }
 
 static void area_figure(const struct voxels *v, double threshold, struct gsn_analysis *analysis)
@@ -535,6 +587,8 @@ static int make_analysis(const struct voxels *v, const struct gsn_grid *grid,
                               : fmax(TOLERANCE_SHARE * (v->high - v->low),
                                      FLOAT_SHARE * fmax(fabs(v->low), fabs(v->high)));
     r = fit_spline(v, grid, region, options, analysis, err);
+    if (r >= 0 && options->colour)
+        r = fit_colours(v, options, analysis, err);
     if (r >= 0)
         r = measure_region(v, grid, region, protocol, options, analysis, err);
     if (r >= 0)
@@ -572,6 +626,8 @@ void gsn_analysis_free(struct gsn_analysis *analysis)
     gsn_free(analysis->units);
     gsn_adapt_report_done(&analysis->fit);
     gsn_spline_free(analysis->spline);
+    for (int c = 0; c < 3; c++)
+        gsn_spline_free(analysis->colour[c]);
     gsn_dms_free(analysis->space);
     gsn_free(analysis);
 }

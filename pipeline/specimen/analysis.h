@@ -30,6 +30,7 @@ struct gsn_png_picture {
 struct gsn_analysis {
     struct gsn_dms *space;           /* owned */
     struct gsn_spline *spline;       /* owned */
+    struct gsn_spline *colour[3];    /* owned; red, green, blue as light, 0..1; NULL: no colours */
     struct gsn_domain_report domain; /* what the mesh follows */
     struct gsn_adapt_report fit;     /* its arrays are owned */
     double tolerance;
@@ -56,7 +57,8 @@ struct gsn_analysis_options {
     const char *mesher; /* path of gieson-mesh */
     unsigned threads;   /* 0: all */
     const struct gsn_progress *progress;
-    const struct gsn_colour_grid *colour; /* shown beside it, on the same lattice; NULL: none */
+    const struct gsn_colour_grid *colour; /* on the same lattice: fitted, and shown beside it; NULL:
+                                             none */
     /* How densities that the protocol's thresholds are meant in read here, gain * density + offset:
      * those of the baseline, in this specimen's stain. All zeros: as they are. */
     struct gsn_gain_offset scale;

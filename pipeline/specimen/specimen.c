@@ -127,12 +127,14 @@ static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask
     gsn_auto_mem(double) density = NULL;
     gsn_auto_mem(double) share = NULL;
     gsn_auto_mem(char) parameters = NULL;
+    const struct gsn_spline *const *colour;
     struct gsn_model_cells cells;
     struct gsn_specimen_file *file;
     int r;
 
     if (!analysis)
         return GSN_OK;
+    colour = analysis->colour[0] ? (const struct gsn_spline *const *)analysis->colour : NULL;
     r = list_cells(analysis, gsn_dms_mesh(analysis->space)->tet_count, &density, &share, err);
     if (r < 0)
         return r;
@@ -150,7 +152,7 @@ static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask
     if (!parameters)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the model's parameters");
     file = add_file(result, "model.vtkhdf");
-    return gsn_model_file_write(analysis->spline, &cells, region,
+    return gsn_model_file_write(analysis->spline, colour, &cells, region,
                                 &(struct gsn_model_notes){ .name = specimen->protocol->specimen,
                                                            .parameters = parameters,
                                                            .version = GSN_VERSION },

@@ -19,6 +19,7 @@
 
 #include "pipeline/core/linalg.h"
 #include "pipeline/core/robust.h"
+#include "pipeline/core/srgb.h"
 
 #include <assert.h>
 #include <math.h>
@@ -28,9 +29,7 @@
 
 static double decode_code(enum gsn_light light, double code)
 {
-    if (light != GSN_LIGHT_SRGB)
-        return code;
-    return code <= 0.04045 ? code / 12.92 : pow((code + 0.055) / 1.055, 2.4);
+    return light == GSN_LIGHT_SRGB ? gsn_light_of_srgb(code) : code;
 }
 
 double gsn_light_of_sample(enum gsn_light light, unsigned sample, unsigned bits)
@@ -41,9 +40,7 @@ double gsn_light_of_sample(enum gsn_light light, unsigned sample, unsigned bits)
 
 double gsn_light_encode(enum gsn_light light, double linear)
 {
-    if (light != GSN_LIGHT_SRGB)
-        return linear;
-    return linear <= 0.0031308 ? 12.92 * linear : 1.055 * pow(linear, 1 / 2.4) - 0.055;
+    return light == GSN_LIGHT_SRGB ? gsn_srgb_of_light(linear) : linear;
 }
 
 int gsn_light_table(enum gsn_light light, unsigned bits, double **ret_table, struct gsn_error *err)

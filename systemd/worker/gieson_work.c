@@ -146,6 +146,7 @@ enum {
     OPT_BOX,
     OPT_PLANE,
     OPT_TRANSLUCENT,
+    OPT_TRUE_COLOUR,
     OPT_SURFACE,
     OPT_CELLS,
     OPT_VIEW,
@@ -200,6 +201,7 @@ static const struct argp_option options[] = {
     { "plane", OPT_PLANE, "X,Y,Z,NX,NY,NZ", 0,
       "integral: over the region on a plane; render: the normal's side is cut away", 1 },
     { "translucent", OPT_TRANSLUCENT, NULL, 0, "render: emission and absorption", 1 },
+    { "true-colour", OPT_TRUE_COLOUR, NULL, 0, "render: in the colours of the sections", 1 },
     { "surface", OPT_SURFACE, "V", 0, "render: where the density is V", 1 },
     { "cells", OPT_CELLS, "PERCENT", 0, "render: cells apart, of that size", 1 },
     { "view", OPT_VIEW, "X,Y,Z", 0, "render: x, y, z, corner, or a direction into the block", 1 },
@@ -334,6 +336,9 @@ static error_t take_option(int key, char *arg, struct argp_state *state)
         return 0;
     case OPT_TRANSLUCENT:
         request->translucent = 1;
+        return 0;
+    case OPT_TRUE_COLOUR:
+        request->true_colour = 1;
         return 0;
     case OPT_PREVIEW:
         request->preview = 1;

@@ -118,6 +118,10 @@ static const char *read_request(struct render *e)
         (!gsn_work_numbers(request->cells, 1, &e->cells) || !(e->cells >= 1 && e->cells <= 100)))
         return "--cells is how large cells are drawn, from 1 to 100 per cent";
     e->cells /= 100;
+    if (request->true_colour && !request->translucent && !request->surface)
+        return "--true-colour is for --translucent and --surface V";
+    if (request->true_colour && request->preview)
+        return "--preview is in the colours of the density; --true-colour is drawn by rays alone";
     if (request->cells && request->preview)
         return "--preview is of an X-ray or --translucent; cells are drawn as they are";
     if (request->surface && request->preview)
@@ -346,18 +350,36 @@ static int draw_xrays(struct render *e, struct gsn_error *err)
     return r;
 }
 
+/* Colours of the sections, where they are asked for. */
+static int take_colours(struct render *e, const struct scene *s, struct gsn_error *err)
+{
+    if (!e->request->true_colour)
+        return GSN_OK;
+    e->style.colour = gsn_model_colours(s->model);
+    return e->style.colour ? GSN_OK
+                           : gsn_fail(err, GSN_E_NOTFOUND,
+                                      "the model of run %lld of %s, by gieson %s, has no colours: a "
+                                      "volume has none, and `gieson night` computes sections of an "
+                                      "older version again",
+                                      (long long)s->kept->run->id, s->name, s->kept->run->version);
+}
+
 static int draw_light(struct render *e, struct scene *s, struct gsn_error *err)
 {
     const struct gsn_spline *spline = s->model->spline;
     const unsigned threads = e->request->threads;
+    const char *coloured = e->request->true_colour ? " in true colour" : "";
     gsn_auto(gsn_ray_picture) picture = NULL;
-    int r;
+    int r = take_colours(e, s, err);
 
+    if (r < 0)
+        return r;
     e->style.shading = e->request->translucent ? 0.6 : 0;
     if (e->request->surface) {
-        (void)snprintf(s->title, sizeof s->title, "%s: surface at density %g, %s", s->name,
-                       e->style.level, through_eye(s));
-        (void)snprintf(e->note, sizeof e->note, "cuts show the density; axes in \xc2\xb5m");
+        (void)snprintf(s->title, sizeof s->title, "%s: surface at density %g%s, %s", s->name,
+                       e->style.level, coloured, through_eye(s));
+        (void)snprintf(e->note, sizeof e->note, "cuts show the %s; axes in \xc2\xb5m",
+                       coloured[0] ? "colour" : "density");
         r = gsn_ray_surface(spline, &s->camera, &s->clip, &e->style, threads, NULL, &picture, err);
     } else if (e->cells > 0) {
         (void)snprintf(s->title, sizeof s->title, "%s: cells at %g %%, %s", s->name, 100 * e->cells,
@@ -366,8 +388,8 @@ static int draw_light(struct render *e, struct scene *s, struct gsn_error *err)
         r = gsn_cells_picture(gsn_dms_mesh(s->model->space), s->mean, e->cells, &s->camera, &s->clip,
                               &e->style, threads, &picture, err);
     } else {
-        (void)snprintf(s->title, sizeof s->title, "%s: emission and absorption, %s%s", s->name,
-                       through_eye(s), how_made(e));
+        (void)snprintf(s->title, sizeof s->title, "%s: emission and absorption%s, %s%s",
+                       s->name, coloured, through_eye(s), how_made(e));
         (void)snprintf(e->note, sizeof e->note,
                        "%.3g: 1/e through %.3g \xc2\xb5m; axes in \xc2\xb5m", e->style.high,
                        e->style.opaque_um);

@@ -6,6 +6,7 @@
 
 #include "pipeline/core/file.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -118,7 +119,7 @@ static void leave(const struct gsn_spline *spline, const char *name)
     struct gsn_error err = { 0 };
     size_t size = 0;
 
-    CHECK_OK(gsn_model_file_write(spline, &cells, NULL, &NOTES, &bytes, &size, &err), err);
+    CHECK_OK(gsn_model_file_write(spline, NULL, &cells, NULL, &NOTES, &bytes, &size, &err), err);
     CHECK_OK(gsn_file_write(path, bytes, size, &err), err);
     leave_probes(spline, name);
     cells_done(&cells);
@@ -170,7 +171,7 @@ static void write_model(struct gsn_dms **ret_space, struct gsn_spline **ret_spli
     *ret_spline = random_spline(*ret_space);
     *ret_cells = draw_cells(gsn_dms_mesh(*ret_space)->tet_count);
     CHECK_OK(
-        gsn_model_file_write(*ret_spline, ret_cells, &REGION, &NOTES, ret_bytes, ret_size, &err),
+        gsn_model_file_write(*ret_spline, NULL, ret_cells, &REGION, &NOTES, ret_bytes, ret_size, &err),
         err);
 }
 
@@ -209,7 +210,47 @@ TEST(a_model_comes_back_to_the_last_bit)
     CHECK(strcmp(model->name, NOTES.name) == 0);
     CHECK(strcmp(model->parameters, NOTES.parameters) == 0);
     CHECK(strcmp(model->version, NOTES.version) == 0);
+    CHECK(gsn_model_colours(model) == NULL);
     cells_done(&cells);
+}
+
+TEST(colours_come_back_to_the_last_bit_and_belong_to_the_checksum)
+{
+    gsn_auto(gsn_dms) space = kuhn_space(CELLS, 0.2, 2, 0.05, GSN_DMS_SHARED);
+    gsn_auto(gsn_spline) spline = random_spline(space);
+    const size_t controls = gsn_dms_controls(space);
+    struct gsn_spline *colour[3] = { NULL };
+    gsn_auto(gsn_model) model = NULL;
+    gsn_auto_mem(uint8_t) bytes = NULL;
+    struct gsn_model *changed = NULL;
+    struct gsn_error err = { 0 };
+    const uint8_t *found;
+    size_t size = 0;
+
+    for (int c = 0; c < 3; c++) {
+        gsn_auto_mem(double) control =
+            gsn_memdup(gsn_spline_controls(spline), controls * sizeof *control);
+
+        CHECK(control);
+        for (size_t i = 0; i < controls; i++)
+            control[i] = sin((double)(3 * i) + c);
+        CHECK_OK(gsn_spline_new(space, control, &colour[c], &err), err);
+    }
+    CHECK_OK(gsn_model_file_write(spline, (const struct gsn_spline *const *)colour,
+                                  &(struct gsn_model_cells){ .density = NULL }, &REGION, &NOTES,
+                                  &bytes, &size, &err),
+             err);
+    CHECK_OK(gsn_model_file_read(bytes, size, &model, &err), err);
+    CHECK(gsn_model_colours(model) != NULL);
+    for (int c = 0; c < 3; c++)
+        CHECK_SAME(gsn_spline_controls(colour[c]), gsn_spline_controls(model->colour[c]), controls);
+    found = memmem(bytes, size, gsn_spline_controls(colour[2]), 8 * sizeof(double));
+    CHECK(found);
+    bytes[found - bytes] ^= 1;
+    CHECK(gsn_model_file_read(bytes, size, &changed, &err) == GSN_E_INPUT);
+    CHECK(!changed && strstr(err.text, "was changed since"));
+    for (int c = 0; c < 3; c++)
+        gsn_spline_free(colour[c]);
 }
 
 TEST(the_same_model_is_the_same_bytes)
@@ -223,7 +264,7 @@ TEST(the_same_model_is_the_same_bytes)
     size_t first_size = 0, second_size = 0;
 
     write_model(&space, &spline, &cells, &first, &first_size);
-    CHECK_OK(gsn_model_file_write(spline, &cells, &REGION, &NOTES, &second, &second_size, &err),
+    CHECK_OK(gsn_model_file_write(spline, NULL, &cells, &REGION, &NOTES, &second, &second_size, &err),
              err);
     CHECK(first_size == second_size && memcmp(first, second, first_size) == 0);
     cells_done(&cells);
@@ -238,7 +279,7 @@ TEST(what_is_not_known_of_cells_is_not_in_the_file)
     struct gsn_error err = { 0 };
     size_t size = 0;
 
-    CHECK_OK(gsn_model_file_write(spline, &(struct gsn_model_cells){ .density = NULL }, NULL,
+    CHECK_OK(gsn_model_file_write(spline, NULL, &(struct gsn_model_cells){ .density = NULL }, NULL,
                                   &NOTES, &bytes, &size, &err),
              err);
     CHECK_OK(gsn_model_file_read(bytes, size, &model, &err), err);
@@ -309,8 +350,9 @@ static int write_and_read(const struct gsn_spline *spline, struct gsn_error *err
 {
     gsn_auto(gsn_model) model = NULL;
     gsn_auto_mem(uint8_t) bytes = NULL;
+    const struct gsn_spline *const colour[3] = { spline, spline, spline };
     size_t size = 0;
-    int r = gsn_model_file_write(spline, &(struct gsn_model_cells){ .density = NULL }, &REGION,
+    int r = gsn_model_file_write(spline, colour, &(struct gsn_model_cells){ .density = NULL }, &REGION,
                                  &NOTES, &bytes, &size, err);
 
     return r < 0 ? r : gsn_model_file_read(bytes, size, &model, err);

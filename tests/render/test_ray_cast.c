@@ -3,6 +3,7 @@
 
 #include <string.h>
 
+#include "pipeline/core/srgb.h"
 #include "pipeline/model/pieces.h"
 #include "tests/render/box_scene.h"
 
@@ -266,6 +267,108 @@ TEST(absorption_by_a_polynomial_field_has_its_closed_form)
     }
     /* A hundredth of a step of 8 bits is asked for; this is a hundredth of that. */
     CHECK(sqrt(square) < 0.0001 / 255);
+    kuhn_done(&kuhn);
+}
+
+/* Three more splines on the space of the first: red, green and blue that change along x, y and z. */
+static const struct quadric dyed[3] = { { 0.5, { 0.0004, 0, 0 }, { 0 } },
+                                        { 0.4, { 0, 0.0003, 0 }, { 0 } },
+                                        { 0.6, { 0, 0, -0.0003 }, { 0 } } };
+
+static void dye(const struct kuhn *kuhn, unsigned degree, struct gsn_spline *ret_colour[3])
+{
+    for (int c = 0; c < 3; c++) {
+        struct gsn_error err = { 0 };
+        struct kuhn other;
+
+        CHECK_OK(kuhn_sharp(low, high, cells, degree, 0.05, &dyed[c], &other, &err), err);
+        CHECK_OK(gsn_spline_new(kuhn->space, gsn_spline_controls(other.spline), &ret_colour[c],
+                                &err),
+                 err);
+        kuhn_done(&other);
+    }
+}
+
+/* Extinction is the same all through the box; so the light of a colour a + b t is a (1 - e) + b (L -
+ * (L + D) e) with e = exp(-D / L). */
+TEST(true_colours_have_their_closed_form)
+{
+    static const struct quadric dense = { 2, { 0 }, { 0 } };
+    const struct gsn_view view = oblique(48, 40);
+    struct gsn_spline *colour[3] = { NULL };
+    struct gsn_ray_style style = plain(0, 1, 300);
+    gsn_auto(gsn_ray_picture) picture = NULL;
+    struct gsn_camera camera;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+    size_t met = 0;
+
+    CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &dense, &kuhn, &err), err);
+    dye(&kuhn, 2, colour);
+    style.colour = (const struct gsn_spline *const *)colour;
+    camera = frame(&kuhn, &view);
+    CHECK_OK(gsn_ray_volume(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err), err);
+    CHECK(picture->is_light);
+    for (uint32_t j = 0; j < view.height; j++) {
+        for (uint32_t i = 0; i < view.width; i++) {
+            const float *got = picture->rgba[j * view.width + i];
+            const double away = style.opaque_um;
+            double start[3], into[3], in, out, left;
+
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
+            if (!chord(low, high, start, into, &in, &out))
+                continue;
+            left = exp(-(out - in) / away);
+            CHECK_NEAR((double)got[3], 1 - left, 1e-6);
+            for (int c = 0; c < 3; c++) {
+                const double a = quadric_on(&dyed[c], start, into, in),
+                             b = (quadric_on(&dyed[c], start, into, out) - a) / (out - in);
+
+                CHECK_NEAR((double)got[c],
+                           a * (1 - left) + b * (away - (away + out - in) * left),
+                           GSN_RAY_TOLERANCE);
+            }
+            met++;
+        }
+    }
+    CHECK(met > 100);
+    for (int c = 0; c < 3; c++)
+        gsn_spline_free(colour[c]);
+    kuhn_done(&kuhn);
+}
+
+TEST(a_cut_shows_the_true_colour_where_the_ray_comes_in)
+{
+    static const struct quadric dense = { 2, { 0 }, { 0 } };
+    const struct gsn_view view = oblique(24, 20);
+    struct gsn_spline *colour[3] = { NULL };
+    struct gsn_ray_style style = plain(0, 1, 300);
+    gsn_auto(gsn_ray_picture) picture = NULL;
+    struct gsn_camera camera;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &dense, &kuhn, &err), err);
+    dye(&kuhn, 2, colour);
+    style.colour = (const struct gsn_spline *const *)colour;
+    style.level = 1;
+    camera = frame(&kuhn, &view);
+    CHECK_OK(gsn_ray_surface(kuhn.spline, &camera, NULL, &style, 0, NULL, &picture, &err), err);
+    CHECK(!picture->is_light);
+    for (uint32_t j = 0; j < view.height; j++) {
+        for (uint32_t i = 0; i < view.width; i++) {
+            double start[3], into[3], in, out;
+
+            (void)line_of(&camera, i + 0.5, j + 0.5, start, into);
+            if (!chord(low, high, start, into, &in, &out) || out - in < 1)
+                continue;
+            for (int c = 0; c < 3; c++)
+                CHECK_NEAR((double)picture->rgba[j * view.width + i][c],
+                           gsn_srgb_of_light(quadric_on(&dyed[c], start, into, in)), 1e-5);
+        }
+    }
+    for (int c = 0; c < 3; c++)
+        gsn_spline_free(colour[c]);
     kuhn_done(&kuhn);
 }
 

@@ -2,6 +2,7 @@
 #include "pipeline/specimen/analysis.h"
 
 #include "pipeline/stain/normalisation.h"
+#include "pipeline/core/srgb.h"
 #include "tests/check.h"
 #include "tests/specimen/drawn_specimen.h"
 #include "tests/specimen/often.h"
@@ -109,6 +110,48 @@ TEST(a_linear_density_has_the_mean_at_the_centre_and_slabs_above_thresholds)
 }
 
 /* 0.1 to 0.9 across the box; what the baseline calls 0.6 reads 0.5 here. */
+/* Light that rises from 0.2 to 0.8 along x, with half of it along y in green: codes of 8 bits are to be
+ * found as that light, and black is no data. */
+TEST(true_colour_is_fitted_as_light)
+{
+    gsn_auto(gsn_grid) grid = linear_grid(0.6, (struct gsn_vec3){ 0, 0, 0 });
+    gsn_auto(gsn_mask) region = box_region(&grid->at);
+    gsn_auto(gsn_protocol) protocol = drawn_protocol(JOB);
+    gsn_auto(gsn_colour_grid) colour = NULL;
+    gsn_auto(gsn_analysis) analysis = NULL;
+    struct gsn_analysis_options options = OPTIONS;
+    struct gsn_error err = { 0 };
+    const double side = STEP * NX;
+    size_t hint = 0;
+
+    CHECK_OK(gsn_colour_grid_new(&grid->at, &colour, &err), err);
+    for (size_t i = 0; i < gsn_lattice_count(&grid->at); i++) {
+        const struct gsn_vec3 u = gsn_lattice_centre(
+            &grid->at, i % grid->at.nx, i / grid->at.nx % grid->at.ny, i / grid->at.nx / grid->at.ny);
+        const double light = 0.5 + 0.6 * u.x / side;
+
+        if (i % 7 == 0)
+            continue;
+        colour->rgb[3 * i] = (uint8_t)lrint(255 * gsn_srgb_of_light(light));
+        colour->rgb[3 * i + 1] = (uint8_t)lrint(255 * gsn_srgb_of_light(light / 2));
+        colour->rgb[3 * i + 2] = 255;
+    }
+    options.colour = colour;
+    CHECK_OK(gsn_analyse(grid, region, protocol, &options, &analysis, &err), err);
+    for (int i = -4; i <= 4; i++) {
+        const double u[3] = { side * i / 10, STEP / 3, -STEP / 3 }, light = 0.5 + 0.06 * i;
+        const double truth[3] = { light, light / 2, 1 };
+
+        for (int c = 0; c < 3; c++) {
+            double value = NAN;
+
+            CHECK(gsn_spline_eval(analysis->colour[c], u, &hint, &value, NULL) == GSN_OK);
+            /* Less than half a code. */
+            CHECK_NEAR(value, truth[c], 0.002);
+        }
+    }
+}
+
 TEST(volumes_above_a_density_are_on_the_baselines_scale)
 {
     gsn_auto(gsn_grid) grid = linear_grid(0.5, (struct gsn_vec3){ 0.8 / (STEP * NX), 0, 0 });

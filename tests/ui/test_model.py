@@ -291,6 +291,9 @@ class Refusals(Model):
                      ["render", "block", self.folder / "a.png", "--cells", 101],
                      ["render", "block", self.folder / "a.png", "--cells", 70, "--translucent"],
                      ["render", "block", self.folder / "a.png", "--cells", 70, "--preview"],
+                     ["render", "block", self.folder / "a.png", "--true-colour"],
+                     ["render", "block", self.folder / "a.png", "--cells", 70, "--true-colour"],
+                     ["render", "block", self.folder / "a.png", "--translucent", "--true-colour", "--preview"],
                      ["render"] + 9 * ["block"] + [self.folder / "a.png"],
                      ["render", "block", self.folder / "a.png", "--box", "1,2,3"]):
             self.complaint(64, *args)
@@ -323,6 +326,9 @@ class Refusals(Model):
     def test_a_volume_has_no_stack_in_colour(self):
         self.assertIn("has no stack of sections in colour",
                       self.complaint(66, "export", "block", self.folder / "a.ome.tif"))
+        self.assertIn("has no colours: a volume has none",
+                      self.complaint(66, "render", "block", self.folder / "a.png", "--surface", 0.3,
+                                     "--true-colour"))
 
     def test_a_specimen_without_a_report(self):
         self.store = self.folder / "store"

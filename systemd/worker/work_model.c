@@ -12,6 +12,7 @@
 #include <sysexits.h>
 
 #include "pipeline/core/mem.h"
+#include "pipeline/core/srgb.h"
 #include "pipeline/measure/density.h"
 #include "pipeline/measure/integral.h"
 #include "pipeline/measure/level_set.h"
@@ -235,6 +236,22 @@ static json_t *list_sections(const json_t *report, const double u[3])
     return list;
 }
 
+/* Red, green and blue as codes of sRGB, #rrggbb; null: the model has no colours. */
+static json_t *colour_at(const struct gsn_model *model, const double u[3])
+{
+    const struct gsn_spline *const *const colour = gsn_model_colours(model);
+    unsigned code[3] = { 0 };
+
+    for (int c = 0; colour && c < 3; c++) {
+        double light = 0;
+        size_t hint = 0;
+
+        (void)gsn_spline_eval(colour[c], u, &hint, &light, NULL);
+        code[c] = (unsigned)lrint(255 * gsn_srgb_of_light(fmin(1, fmax(0, light))));
+    }
+    return colour ? json_sprintf("#%02x%02x%02x", code[0], code[1], code[2]) : json_null();
+}
+
 static int probe_point(struct asked *a, const double u[3], struct gsn_error *err)
 {
     double value, gradient[3], hessian[6];
@@ -248,6 +265,7 @@ static int probe_point(struct asked *a, const double u[3], struct gsn_error *err
     put_member(a->root, "value", number_of(value));
     put_member(a->root, "gradient_per_um", numbers_of(gradient, 3));
     put_member(a->root, "hessian_per_um2", numbers_of(hessian, 6));
+    put_member(a->root, "colour", colour_at(a->model, u));
     put_member(a->root, "in_region",
                a->model->region ? json_boolean(is_in_region(a->model, u)) : json_null());
     put_member(a->root, "cell", describe_cell(a->model, tet));
@@ -271,6 +289,8 @@ static void print_probe(const struct asked *a)
                  json_number_value(json_array_get(gradient, 0)),
                  json_number_value(json_array_get(gradient, 1)),
                  json_number_value(json_array_get(gradient, 2)));
+    if (json_is_string(json_object_get(a->root, "colour")))
+        (void)printf("colour %s (sRGB)\n", json_string_value(json_object_get(a->root, "colour")));
     (void)printf("cell %.0f: the spline lies between %.4g and %.4g in all of it\n",
                  get_number(cell, "number"), get_number(cell, "lower"), get_number(cell, "upper"));
     if (get_number(cell, "samples") > 0)

@@ -102,6 +102,7 @@ class Closed(Model):
         for got in said["hessian_per_um2"]:
             self.near(got, 0, 1e-5)
         self.assertIs(said["in_region"], True)
+        self.assertIsNone(said["colour"])  # a volume has none
         cell = said["cell"]
         self.assertLessEqual(cell["lower"], said["value"])
         self.assertGreaterEqual(cell["upper"], said["value"])

@@ -6,15 +6,232 @@
  * MetaImage: "Key = Value" lines of which ElementDataFile is the last.
  * NRRD: "field: value" lines up to an empty one, behind which attached data follow.
  *
- * Method: line by line into one description; keys that do not change what voxels mean are skipped,
- * and a value that is not understood is refused by its key.
+ * Method: line by line into one description, by words and numbers that the three have in common;
+ * keys that do not change what voxels mean are skipped, and a value that is not understood is
+ * refused by its key. Numbers do not follow the locale.
  *
- * Failure: GSN_E_INPUT with the key.
+ * Failure: GSN_E_INPUT with the key; GSN_E_UNSUPPORTED for what is stated well and not read.
  * Cost: linear in the header. */
 #include "pipeline/decode/volume_internal.h"
 
 #include <math.h>
+#include <stdint.h>
 #include <string.h>
+#include <strings.h>
+
+/* --- words and numbers of a header --- */
+
+static int is_blank(char c)
+{
+    return c == ' ' || c == '\t' || c == '\r' || c == '\n';
+}
+
+static int is_gap(char c)
+{
+    return is_blank(c) || c == ',' || c == '(' || c == ')';
+}
+
+static struct gsn_words trim_words(struct gsn_words words)
+{
+    while (words.size && is_blank(words.at[0])) {
+        words.at++;
+        words.size--;
+    }
+    while (words.size && is_blank(words.at[words.size - 1]))
+        words.size--;
+    return words;
+}
+
+int gsn_words_line(struct gsn_words *rest, struct gsn_words *ret_line)
+{
+    const char *end = rest->size ? memchr(rest->at, '\n', rest->size) : NULL;
+    const size_t size = end ? (size_t)(end - rest->at) : rest->size;
+    const size_t step = end ? size + 1 : size;
+
+    if (rest->size == 0)
+        return 0;
+    *ret_line = (struct gsn_words){ rest->at, size };
+    if (size && ret_line->at[size - 1] == '\r')
+        ret_line->size--;
+    rest->at += step;
+    rest->size -= step;
+    return 1;
+}
+
+int gsn_words_split(struct gsn_words line, const char *mark, struct gsn_words *ret_key,
+                    struct gsn_words *ret_value)
+{
+    const char *found = memmem(line.at, line.size, mark, strlen(mark));
+    const size_t before = found ? (size_t)(found - line.at) : 0;
+    const size_t behind = before + strlen(mark);
+
+    if (!found)
+        return 0;
+    *ret_key = trim_words((struct gsn_words){ line.at, before });
+    *ret_value = trim_words((struct gsn_words){ line.at + behind, line.size - behind });
+    return 1;
+}
+
+int gsn_words_are(struct gsn_words words, const char *text)
+{
+    return words.size == strlen(text) && strncasecmp(words.at, text, words.size) == 0;
+}
+
+/* Digits with at most one point. 19 digits fit 64 bits; those beyond only shift the exponent. */
+static size_t take_digits(struct gsn_words *w, uint64_t *mantissa, int *exponent)
+{
+    size_t digits = 0;
+    int point = 0;
+
+    for (; w->size; w->at++, w->size--) {
+        const char c = w->at[0];
+
+        if (c == '.' && !point) {
+            point = 1;
+        } else if (c >= '0' && c <= '9') {
+            digits++;
+            if (*mantissa < UINT64_MAX / 10 - 1)
+                *mantissa = *mantissa * 10 + (uint64_t)(c - '0');
+            else
+                (*exponent)++;
+            *exponent -= point;
+        } else {
+            break;
+        }
+    }
+    return digits;
+}
+
+static int take_sign(struct gsn_words *w)
+{
+    const int negative = w->size && w->at[0] == '-';
+
+    if (w->size && (w->at[0] == '-' || w->at[0] == '+')) {
+        w->at++;
+        w->size--;
+    }
+    return negative ? -1 : 1;
+}
+
+/* Returns 0 unless an exponent is absent or complete and modest. */
+static int take_exponent(struct gsn_words *w, int *exponent)
+{
+    uint64_t number = 0;
+    int beyond = 0, sign;
+
+    if (!w->size || (w->at[0] != 'e' && w->at[0] != 'E'))
+        return 1;
+    w->at++;
+    w->size--;
+    sign = take_sign(w);
+    if (!take_digits(w, &number, &beyond) || beyond || number > 300)
+        return 0;
+    *exponent += sign * (int)number;
+    return 1;
+}
+
+/* strtod() would follow the locale: "3,5" on a German machine. */
+static int take_number(struct gsn_words *w, double *ret_number)
+{
+    const int sign = take_sign(w);
+    uint64_t mantissa = 0;
+    long double value;
+    int exponent = 0;
+
+    if (!take_digits(w, &mantissa, &exponent) || !take_exponent(w, &exponent))
+        return 0;
+    if (w->size && !is_gap(w->at[0]))
+        return 0;
+    /* Powers of ten up to 10^27 are exact in the 64 bits of a long double's mantissa. */
+    value = (long double)mantissa;
+    value = exponent < 0 ? value / powl(10.0L, -exponent) : value * powl(10.0L, exponent);
+    *ret_number = sign * (double)value;
+    return isfinite(*ret_number) != 0;
+}
+
+int gsn_words_numbers(struct gsn_words words, double *ret_numbers, size_t count)
+{
+    for (size_t i = 0;; i++) {
+        while (words.size && is_gap(words.at[0])) {
+            words.at++;
+            words.size--;
+        }
+        if (words.size == 0)
+            return i == count;
+        if (i == count || !take_number(&words, &ret_numbers[i]))
+            return 0;
+    }
+}
+
+static int read_sizes(struct gsn_words value, struct gsn_lattice *at, struct gsn_error *err)
+{
+    double n[3];
+
+    if (!gsn_words_numbers(value, n, 3))
+        return gsn_fail(err, GSN_E_INPUT, "the sizes \"%.*s\" are not three numbers",
+                        (int)(value.size < 60 ? value.size : 60), value.at);
+    for (size_t i = 0; i < 3; i++)
+        if (n[i] < 1 || n[i] > 1e6 || floor(n[i]) < n[i])
+            return gsn_fail(err, GSN_E_INPUT,
+                            "size %zu is %g: a size is a whole number from 1 to 1000000", i + 1,
+                            n[i]);
+    at->nx = (size_t)n[0];
+    at->ny = (size_t)n[1];
+    at->nz = (size_t)n[2];
+    return GSN_OK;
+}
+
+static int read_spacing(struct gsn_words value, struct gsn_lattice *at, struct gsn_error *err)
+{
+    double step[3];
+
+    if (!gsn_words_numbers(value, step, 3) || step[0] <= 0 || step[1] <= 0 || step[2] <= 0)
+        return gsn_fail(err, GSN_E_INPUT, "the spacing \"%.*s\" is not three numbers above 0",
+                        (int)(value.size < 60 ? value.size : 60), value.at);
+    at->step_um = gsn_vec3_make(step[0], step[1], step[2]);
+    return GSN_OK;
+}
+
+static int read_origin(struct gsn_words value, struct gsn_lattice *at, struct gsn_error *err)
+{
+    double first[3];
+
+    if (!gsn_words_numbers(value, first, 3))
+        return gsn_fail(err, GSN_E_INPUT, "the origin \"%.*s\" is not three numbers",
+                        (int)(value.size < 60 ? value.size : 60), value.at);
+    at->origin_um = gsn_vec3_make(first[0], first[1], first[2]);
+    return GSN_OK;
+}
+
+/* A header from elsewhere must not make us read any file but its own neighbour. */
+static int read_data_file(struct gsn_words value, struct gsn_volume_header *header,
+                          struct gsn_error *err)
+{
+    if (value.size == 0 || value.size >= sizeof header->data_file ||
+        memchr(value.at, '/', value.size) || memchr(value.at, 0, value.size) || value.at[0] == '.')
+        return gsn_fail(err, GSN_E_INPUT,
+                        "the data file \"%.*s\" is not a plain name of a file beside the header",
+                        (int)(value.size < 100 ? value.size : 100), value.at);
+    if (memchr(value.at, '%', value.size) || gsn_words_are(value, "LIST"))
+        return gsn_fail(err, GSN_E_UNSUPPORTED,
+                        "a volume in many files is not read: write it as one file");
+    memcpy(header->data_file, value.at, value.size);
+    header->data_file[value.size] = '\0';
+    return GSN_OK;
+}
+
+static int read_whole(struct gsn_words value, const char *field, size_t *ret_number,
+                      struct gsn_error *err)
+{
+    double number;
+
+    if (!gsn_words_numbers(value, &number, 1) || number < 0 || number > 1e15 ||
+        floor(number) < number)
+        return gsn_fail(err, GSN_E_INPUT, "%s \"%.*s\" is not a whole number", field,
+                        (int)(value.size < 60 ? value.size : 60), value.at);
+    *ret_number = (size_t)number;
+    return GSN_OK;
+}
 
 /* --- INRIMAGE-4 --- */
 
@@ -89,11 +306,11 @@ static int read_lattice(const struct inr *inr, struct gsn_lattice *at, struct gs
     char text[128];
     int r;
 
-    r = gsn_header_sizes(join_fields(inr->size, text, sizeof text), at, err);
+    r = read_sizes(join_fields(inr->size, text, sizeof text), at, err);
     if (r >= 0)
-        r = gsn_header_spacing(join_fields(inr->step, text, sizeof text), at, err);
+        r = read_spacing(join_fields(inr->step, text, sizeof text), at, err);
     if (r >= 0 && (inr->first[0].size || inr->first[1].size || inr->first[2].size))
-        r = gsn_header_origin(join_fields(inr->first, text, sizeof text), at, err);
+        r = read_origin(join_fields(inr->first, text, sizeof text), at, err);
     return r;
 }
 
@@ -196,7 +413,7 @@ static int read_header_size(struct gsn_words value, struct gsn_volume_header *he
                             struct gsn_error *err)
 {
     header->from_end = gsn_words_are(value, "-1");
-    return header->from_end ? GSN_OK : gsn_header_whole(value, "HeaderSize", &header->data_at, err);
+    return header->from_end ? GSN_OK : read_whole(value, "HeaderSize", &header->data_at, err);
 }
 
 static int take_mhd_field(struct gsn_words key, struct gsn_words value,
@@ -211,15 +428,15 @@ static int take_mhd_field(struct gsn_words key, struct gsn_words value,
     if (gsn_words_are(key, "ElementNumberOfChannels"))
         return check_word(value, "1", "ElementNumberOfChannels", err);
     if (gsn_words_are(key, "DimSize"))
-        return gsn_header_sizes(value, at, err);
+        return read_sizes(value, at, err);
     if (gsn_words_are(key, "ElementType"))
         return read_mhd_type(value, header, err);
     if (gsn_words_are(key, "ElementSpacing") ||
         (gsn_words_are(key, "ElementSize") && at->step_um.x <= 0))
-        return gsn_header_spacing(value, at, err);
+        return read_spacing(value, at, err);
     if (gsn_words_are(key, "Offset") || gsn_words_are(key, "Position") ||
         gsn_words_are(key, "Origin"))
-        return gsn_header_origin(value, at, err);
+        return read_origin(value, at, err);
     if (gsn_words_are(key, "TransformMatrix") || gsn_words_are(key, "Rotation") ||
         gsn_words_are(key, "Orientation"))
         return check_upright(value, err);
@@ -236,7 +453,7 @@ static int take_data_file(struct gsn_words value, size_t behind, struct gsn_volu
                           struct gsn_error *err)
 {
     if (!gsn_words_are(value, "LOCAL"))
-        return gsn_header_data_file(value, header, err);
+        return read_data_file(value, header, err);
     if (header->data_at)
         return gsn_fail(err, GSN_E_INPUT, "HeaderSize makes no sense beside LOCAL data");
     header->data_at = behind;
@@ -396,7 +613,7 @@ static int take_skip(struct gsn_words value, struct gsn_volume_header *header,
                      struct gsn_error *err)
 {
     header->from_end = gsn_words_are(value, "-1");
-    return header->from_end ? GSN_OK : gsn_header_whole(value, "byte skip", &header->data_at, err);
+    return header->from_end ? GSN_OK : read_whole(value, "byte skip", &header->data_at, err);
 }
 
 static int take_dimension(struct gsn_words value, struct nrrd *nrrd, struct gsn_error *err)
@@ -425,17 +642,17 @@ static int take_nrrd_field(struct gsn_words key, struct gsn_words value, struct 
     if (gsn_words_are(key, "type"))
         return read_nrrd_type(value, header, err);
     if (gsn_words_are(key, "sizes"))
-        return gsn_header_sizes(value, &header->at, err);
+        return read_sizes(value, &header->at, err);
     if (gsn_words_are(key, "encoding"))
         return read_encoding(value, nrrd, err);
     if (gsn_words_are(key, "endian"))
         return read_endian(value, nrrd, err);
     if (gsn_words_are(key, "spacings"))
-        return gsn_header_spacing(value, &header->at, err);
+        return read_spacing(value, &header->at, err);
     if (gsn_words_are(key, "space directions"))
         return read_directions(value, &header->at, err);
     if (gsn_words_are(key, "space origin"))
-        return gsn_header_origin(value, &header->at, err);
+        return read_origin(value, &header->at, err);
     if (gsn_words_are(key, "units") || gsn_words_are(key, "space units"))
         return read_units(value, header, err);
     if (gsn_words_are(key, "byte skip") || gsn_words_are(key, "byteskip"))
@@ -443,7 +660,7 @@ static int take_nrrd_field(struct gsn_words key, struct gsn_words value, struct 
     if (gsn_words_are(key, "line skip") || gsn_words_are(key, "lineskip"))
         return take_line_skip(value, err);
     if (gsn_words_are(key, "data file") || gsn_words_are(key, "datafile"))
-        return gsn_header_data_file(value, header, err);
+        return read_data_file(value, header, err);
     return GSN_OK;
 }
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The text headers of volume files: one description for the three formats, and the few ways of
- * taking a header apart that they share. Internal to decoding. */
+/* The text headers of volume files (volume_formats.c): one description for the three formats, and
+ * the few ways of taking a text apart that others use too. Internal to decoding. */
 #ifndef GSN_DECODE_VOLUME_INTERNAL_H
 #define GSN_DECODE_VOLUME_INTERNAL_H
 
@@ -47,16 +47,6 @@ int gsn_words_split(struct gsn_words line, const char *mark, struct gsn_words *r
 int gsn_words_are(struct gsn_words words, const char *text);
 /* Exactly count decimal numbers, apart by blanks, commas or brackets; returns whether it was so. */
 int gsn_words_numbers(struct gsn_words words, double *ret_numbers, size_t count);
-
-/* Steps of the header readers; each returns GSN_OK or fails with the field's name in the text. */
-int gsn_header_sizes(struct gsn_words value, struct gsn_lattice *at, struct gsn_error *err);
-int gsn_header_spacing(struct gsn_words value, struct gsn_lattice *at, struct gsn_error *err);
-int gsn_header_origin(struct gsn_words value, struct gsn_lattice *at, struct gsn_error *err);
-int gsn_header_data_file(struct gsn_words value, struct gsn_volume_header *header,
-                         struct gsn_error *err);
-/* A whole number of at least 0. */
-int gsn_header_whole(struct gsn_words value, const char *field, size_t *ret_number,
-                     struct gsn_error *err);
 
 /* One format each: fills the header from the text of its file. What the file leaves open and
  * nobody may guess (sizes, type, spacing, byte order) is refused by name. */

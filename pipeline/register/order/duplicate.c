@@ -603,35 +603,24 @@ static int join_findings(struct gsn_sequence *sequence, const struct search *w,
     gsn_free(sequence->finding);
     sequence->finding = all;
     sequence->count += w->found;
-    gsn_sequence_sort(sequence);
     return GSN_OK;
 }
 
-static int compare_excluded(struct search *w, const struct gsn_sequence_excluded *held,
-                            struct gsn_sequence *sequence, struct gsn_error *err)
+int gsn_sequence_find_excluded(const struct gsn_sequence_plane *planes, size_t count,
+                               size_t columns, size_t rows,
+                               const struct gsn_sequence_excluded *held, size_t held_count,
+                               struct gsn_sequence *sequence, struct gsn_error *err)
 {
-    gsn_auto_mem(struct part) part = gsn_alloc_array(w->parts, sizeof *part);
+    gsn_auto_mem(struct part) part = gsn_alloc_array(held_count, sizeof *part);
     gsn_auto_mem(struct gsn_sequence_finding) finding =
-        gsn_alloc_array(w->parts * (2 * NEAR_BY + w->parts), sizeof *finding);
+        gsn_alloc_array(held_count * (2 * NEAR_BY + held_count), sizeof *finding);
+    struct search w = { planes, count, columns, rows, part, held_count, .finding = finding };
     int told = 0, r;
 
     if (!part || !finding)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the sections that are held");
-    w->part = part;
-    w->finding = finding;
-    r = learn_usual(w, &told, err);
+    r = learn_usual(&w, &told, err);
     if (r >= 0 && told)
-        r = compare_all(w, held, err);
-    return r < 0 || w->found == 0 ? r : join_findings(sequence, w, err);
-}
-
-int gsn_sequence_examine_excluded(const struct gsn_sequence_plane *planes, size_t count,
-                                  size_t columns, size_t rows,
-                                  const struct gsn_sequence_excluded *held, size_t held_count,
-                                  struct gsn_sequence *sequence, struct gsn_error *err)
-{
-    struct search w = { planes, count, columns, rows, .parts = held_count };
-
-    return held_count > 0 && sequence->duplicates_known ? compare_excluded(&w, held, sequence, err)
-                                                        : GSN_OK;
+        r = compare_all(&w, held, err);
+    return r < 0 || w.found == 0 ? r : join_findings(sequence, &w, err);
 }

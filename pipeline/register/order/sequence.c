@@ -4,7 +4,8 @@
  *
  * Steps: (1) sections that are there twice (duplicate.c). (2) Swaps (swap.c) of what is there once:
  * which of two mounts lies wrong is for a person to see. (3) How much a swap that does not show may
- * carry from one place to another.
+ * carry from one place to another. (4) When asked, second mounts among the sections that are not
+ * registered (duplicate.c). What is found is sorted, the surest first within each kind.
  *
  * Fails when memory runs out. */
 #include "pipeline/register/order/sequence.h"
@@ -41,7 +42,7 @@ static int compare_findings(const void *a, const void *b)
     return f->b < g->b ? -1 : f->b > g->b;
 }
 
-void gsn_sequence_sort(struct gsn_sequence *sequence)
+static void sort_findings(struct gsn_sequence *sequence)
 {
     qsort(sequence->finding, sequence->count, sizeof *sequence->finding, compare_findings);
 }
@@ -116,8 +117,24 @@ int gsn_sequence_examine(const struct gsn_sequence_plane *planes, size_t count, 
         r = find_all(planes, count, columns, rows, found, err);
     if (r < 0)
         return r;
-    gsn_sequence_sort(found);
+    sort_findings(found);
     *ret_sequence = gsn_steal(&found);
+    return GSN_OK;
+}
+
+int gsn_sequence_examine_excluded(const struct gsn_sequence_plane *planes, size_t count,
+                                  size_t columns, size_t rows,
+                                  const struct gsn_sequence_excluded *held, size_t held_count,
+                                  struct gsn_sequence *sequence, struct gsn_error *err)
+{
+    int r;
+
+    if (held_count == 0 || !sequence->duplicates_known)
+        return GSN_OK;
+    r = gsn_sequence_find_excluded(planes, count, columns, rows, held, held_count, sequence, err);
+    if (r < 0)
+        return r;
+    sort_findings(sequence);
     return GSN_OK;
 }
 

@@ -16,6 +16,7 @@
 
 #include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
+#include "pipeline/render/lettering.h"
 
 #include <math.h>
 #include <stdio.h>

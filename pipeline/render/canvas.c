@@ -1,27 +1,20 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Drawing on a picture in memory: rectangles, lines, colour maps, and the sheet around.
+/* Drawing on a picture in memory: rectangles, lines, colour maps.
  *
- * Method: rectangles are set pixel by pixel, lines are stroked by cairo all at once as weights of 8
- * bits, letters are pango's (lettering.h). The colour map is viridis (S. van der Walt, N. Smith
+ * Method: rectangles are set pixel by pixel; lines are stroked by cairo all at once as weights of 8
+ * bits, by which their colour is mixed in. The colour map is viridis (S. van der Walt, N. Smith
  * 2015, CC0) at 17 even places, linear between; values that are NaN are hatched.
  *
- * A sheet has the title above, the colour scale to the right, a scale bar and a note below; the
- * scale bar has the largest length of 1, 2 or 5 times a power of ten that fits. What a line of
- * letters needs is measured, and the sheet is made as wide as that.
- *
- * Failure: GSN_E_NOMEM; a sheet also GSN_E_NOTFOUND without the fonts; drawing outside of a picture
- * is cut.
- * Cost: linear in the pixels that are set; a sheet opens the fonts once. */
+ * Failure: GSN_E_NOMEM; drawing outside of a picture is cut.
+ * Cost: linear in the pixels that are set. */
 #include "pipeline/render/canvas.h"
 
 #include <assert.h>
+#include <cairo/cairo.h>
 #include <math.h>
-#include <stdio.h>
 
-#include "pipeline/render/lettering_internal.h"
-
-/* --- drawing --- */
+#include "pipeline/core/mem.h"
 
 static const struct gsn_colour no_data_light = { 214, 214, 216 };
 static const struct gsn_colour no_data_dark = { 186, 186, 190 };
@@ -116,22 +109,32 @@ void gsn_canvas_box(struct gsn_image *image, int x, int y, int width, int height
     }
 }
 
-/* A frame one pixel wide, outside of the box. */
-static void draw_frame(struct gsn_image *image, int x, int y, int width, int height,
-                       struct gsn_colour colour)
-{
-    gsn_canvas_box(image, x - 1, y - 1, width + 2, 1, colour);
-    gsn_canvas_box(image, x - 1, y + height, width + 2, 1, colour);
-    gsn_canvas_box(image, x - 1, y, 1, height, colour);
-    gsn_canvas_box(image, x + width, y, 1, height, colour);
-}
-
 void gsn_canvas_no_data(struct gsn_image *image, int x, int y)
 {
     /* Stripes of 2 pixels in 8, rising to the right. */
     const int stripe = ((x + y) % 8 + 8) % 8;
 
     gsn_canvas_put(image, x, y, stripe < 2 ? no_data_dark : no_data_light);
+}
+
+int gsn_canvas_ink(struct gsn_image *image, int x, int y, cairo_surface_t *weights,
+                   struct gsn_colour colour, struct gsn_error *err)
+{
+    const unsigned char *bytes;
+    int stride;
+
+    cairo_surface_flush(weights);
+    if (cairo_surface_status(weights) != CAIRO_STATUS_SUCCESS)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory while drawing");
+    bytes = cairo_image_surface_get_data(weights);
+    stride = cairo_image_surface_get_stride(weights);
+    for (int j = 0; j < cairo_image_surface_get_height(weights); j++) {
+        for (int i = 0; i < cairo_image_surface_get_width(weights); i++) {
+            if (bytes[j * stride + i])
+                gsn_canvas_mix(image, x + i, y + j, colour, bytes[j * stride + i] / 255.0);
+        }
+    }
+    return GSN_OK;
 }
 
 struct gsn_pen {
@@ -175,7 +178,7 @@ int gsn_pen_ink(struct gsn_pen *pen, struct gsn_image *image, double width,
     cairo_stroke(pen->cairo);
     if (cairo_status(pen->cairo) != CAIRO_STATUS_SUCCESS)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while drawing lines");
-    return gsn_lettering_ink(image, 0, 0, pen->weights, colour, err);
+    return gsn_canvas_ink(image, 0, 0, pen->weights, colour, err);
 }
 
 void gsn_canvas_paste(struct gsn_image *image, const struct gsn_image *picture, int x, int y)
@@ -189,250 +192,4 @@ void gsn_canvas_paste(struct gsn_image *image, const struct gsn_image *picture, 
                            (struct gsn_colour){ from[0], from[1], from[2] });
         }
     }
-}
-
-/* --- the sheet a picture is mounted on --- */
-
-static const struct gsn_colour paper = { 255, 255, 255 };
-static const struct gsn_colour ink = { 40, 40, 46 };
-static const struct gsn_colour faint = { 200, 200, 204 };
-
-static const double title_px = 13, label_px = 12; /* as the words of the page around */
-
-enum {
-    MARGIN = 12,
-    GAP = 4, /* between a line of letters and what it belongs to */
-    TICK = 3,
-    BAR = 14,         /* width of the colour scale */
-    LEAST_WIDTH = 96, /* of a sheet, so that a picture of few pixels still carries its letters */
-};
-
-static int larger_of(int a, int b)
-{
-    return a > b ? a : b;
-}
-
-/* 1, 2 or 5 times a power of ten: the smallest that is not below. */
-static double round_step(double least)
-{
-    const double power = pow(10.0, floor(log10(least)));
-    const double digit = least / power;
-
-    return power * (digit <= 1.0 ? 1.0 : digit <= 2.0 ? 2.0 : digit <= 5.0 ? 5.0 : 10.0);
-}
-
-/* Just the digits that multiples of the step have. */
-static void write_number(char *text, size_t size, double value, double step)
-{
-    const int digits = (int)fmax(0.0, ceil(-log10(step) - 1e-9));
-
-    if (fabs(value) >= 1e6 || digits > 5)
-        (void)snprintf(text, size, "%.3g", value);
-    else
-        (void)snprintf(text, size, "%.*f", digits, value);
-}
-
-/* The largest round length of at most most_px. */
-static void measure_scale_bar(double um_per_px, int most_px, int *ret_px, char label[32])
-{
-    const double most_um = um_per_px * most_px, power = pow(10.0, floor(log10(most_um)));
-    const double digit = most_um / power;
-    const double um = power * (digit >= 5.0 ? 5.0 : digit >= 2.0 ? 2.0 : 1.0);
-
-    *ret_px = (int)(um / um_per_px + 0.5);
-    if (um >= 1000.0)
-        (void)snprintf(label, 32, "%g mm", um / 1000.0);
-    else
-        (void)snprintf(label, 32, "%g \xc2\xb5m", um);
-}
-
-/* The numbers beside a colour scale: multiples of a round step, no nearer than their letters. */
-struct ticks {
-    double step, first;
-    int count;
-};
-
-static struct ticks place_ticks(double low, double high, int height, int line)
-{
-    const double step = round_step((high - low) / fmax(1.0, fmin(6.0, height / (1.2 * line))));
-    const double first = ceil(low / step - 1e-9);
-
-    return (struct ticks){ step, first, (int)(floor(high / step + 1e-9) - first) + 1 };
-}
-
-/* + 0.0 makes a zero of a minus zero. */
-static double tick_value(const struct ticks *ticks, int k, char label[32])
-{
-    const double value = (ticks->first + k) * ticks->step + 0.0;
-
-    write_number(label, 32, value, ticks->step);
-    return value;
-}
-
-/* Where everything on a sheet lies; see gsn_plate_new(). */
-struct layout {
-    int line, x, y, width, height; /* of a line of letters; of the picture */
-    int bar_x, bar_y, bar_height;
-    struct ticks ticks;
-    int scale_px; /* 0: no scale bar */
-    char scale_label[32];
-    int note_x, foot_y, sheet_width, sheet_height;
-};
-
-/* To the right of the colour scale, and of what stands above it. */
-static int measure_scale(struct gsn_lettering *letters, const struct gsn_plate *plate,
-                         const struct ticks *ticks)
-{
-    int most = 0;
-
-    for (int k = 0; k < ticks->count; k++) {
-        char label[32];
-
-        (void)tick_value(ticks, k, label);
-        most = larger_of(most, gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px, label));
-    }
-    most += BAR + TICK + GAP;
-    return plate->unit ? larger_of(most, gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px,
-                                                             plate->unit))
-                       : most;
-}
-
-static void lay_out(struct gsn_lettering *letters, const struct gsn_plate *plate, struct layout *at)
-{
-    const int has_bar = plate->um_per_px > 0.0;
-    const int title = gsn_lettering_height(letters, GSN_FACE_BOLD, title_px);
-    int body = at->width, head = 0, foot = 0;
-
-    at->line = gsn_lettering_height(letters, GSN_FACE_PLAIN, label_px);
-    at->x = MARGIN;
-    at->y = MARGIN;
-    if (plate->title) {
-        head = gsn_lettering_width(letters, GSN_FACE_BOLD, title_px, plate->title);
-        at->y += title + GAP;
-    }
-    if (plate->has_scale) {
-        at->bar_x = at->x + at->width + MARGIN;
-        at->bar_y = at->y + (plate->unit ? at->line + 2 * GAP : at->line / 2);
-        at->bar_height = larger_of(3 * at->line, at->y + at->height - at->line / 2 - at->bar_y);
-        at->ticks = place_ticks(plate->low, plate->high, at->bar_height, at->line);
-        body += MARGIN + measure_scale(letters, plate, &at->ticks);
-        at->sheet_height = at->bar_y + at->bar_height + at->line / 2;
-    }
-    if (has_bar) {
-        measure_scale_bar(plate->um_per_px, larger_of(at->width / 4, 40), &at->scale_px,
-                          at->scale_label);
-        foot = larger_of(at->scale_px,
-                         gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px, at->scale_label));
-    }
-    if (plate->note) {
-        const int note = gsn_lettering_width(letters, GSN_FACE_PLAIN, label_px, plate->note);
-
-        /* The scale bar, a gap and the note side by side, the note to the right if there is room.
-         */
-        foot += note + (has_bar ? 2 * MARGIN : 0);
-        at->note_x = at->x + larger_of(at->width, foot) - note;
-    }
-    at->sheet_height = larger_of(at->sheet_height, at->y + at->height);
-    at->foot_y = at->sheet_height + 2 * GAP;
-    if (has_bar || plate->note)
-        at->sheet_height = at->foot_y + at->line + (has_bar ? GAP : 0);
-    at->sheet_height += MARGIN;
-    at->sheet_width = larger_of(larger_of(body, larger_of(head, foot)), LEAST_WIDTH) + 2 * MARGIN;
-}
-
-static int letter(struct gsn_lettering *letters, struct gsn_image *sheet, int x, int y,
-                  const char *text, struct gsn_error *err)
-{
-    return gsn_lettering_draw(letters, sheet, x, y, GSN_FACE_PLAIN, label_px, text, ink, err);
-}
-
-static int draw_scale(struct gsn_lettering *letters, struct gsn_image *sheet,
-                      const struct gsn_plate *plate, const struct layout *at, struct gsn_error *err)
-{
-    int r = GSN_OK;
-
-    for (int j = 0; j < at->bar_height; j++)
-        gsn_canvas_box(sheet, at->bar_x, at->bar_y + j, BAR, 1,
-                       gsn_colour_of(plate->map, 1.0 - (j + 0.5) / (double)at->bar_height));
-    draw_frame(sheet, at->bar_x, at->bar_y, BAR, at->bar_height, ink);
-    for (int k = 0; r >= 0 && k < at->ticks.count; k++) {
-        char label[32];
-        const double value = tick_value(&at->ticks, k, label);
-        const int y =
-            at->bar_y +
-            (int)((at->bar_height - 1) * (plate->high - value) / (plate->high - plate->low) + 0.5);
-
-        gsn_canvas_box(sheet, at->bar_x + BAR + 1, y, TICK, 1, ink);
-        r = letter(letters, sheet, at->bar_x + BAR + TICK + GAP, y - at->line / 2, label, err);
-    }
-    if (r >= 0 && plate->unit)
-        r = letter(letters, sheet, at->bar_x, at->y, plate->unit, err);
-    return r;
-}
-
-int gsn_plate_new(const struct gsn_plate *plate, uint32_t width, uint32_t height,
-                  struct gsn_image **ret_sheet, int *ret_x, int *ret_y, struct gsn_error *err)
-{
-    struct layout at = { .width = (int)width, .height = (int)height };
-    gsn_auto(gsn_lettering) letters = NULL;
-    gsn_auto(gsn_image) sheet = NULL;
-    int r = gsn_lettering_new(GSN_FONT_FOLDER, &letters, err);
-
-    if (r < 0)
-        return r;
-    lay_out(letters, plate, &at);
-    r = gsn_canvas_new((uint32_t)at.sheet_width, (uint32_t)at.sheet_height, paper, &sheet, err);
-    if (r < 0)
-        return r;
-    draw_frame(sheet, at.x, at.y, at.width, at.height, faint);
-    if (plate->title)
-        r = gsn_lettering_draw(letters, sheet, at.x, MARGIN, GSN_FACE_BOLD, title_px, plate->title,
-                               ink, err);
-    if (r >= 0 && plate->has_scale)
-        r = draw_scale(letters, sheet, plate, &at, err);
-    if (r >= 0 && at.scale_px) {
-        r = letter(letters, sheet, at.x, at.foot_y, at.scale_label, err);
-        gsn_canvas_box(sheet, at.x, at.foot_y + at.line + 1, at.scale_px, 3, ink);
-    }
-    if (r >= 0 && plate->note)
-        r = letter(letters, sheet, at.note_x, at.foot_y, plate->note, err);
-    if (r < 0)
-        return r;
-    *ret_sheet = gsn_steal(&sheet);
-    *ret_x = at.x;
-    *ret_y = at.y;
-    return GSN_OK;
-}
-
-void gsn_plate_fill(struct gsn_image *sheet, int x, int y, const struct gsn_plane *plane,
-                    enum gsn_colour_map map, double low, double high)
-{
-    for (uint32_t j = 0; j < plane->height; j++) {
-        for (uint32_t i = 0; i < plane->width; i++) {
-            const double value = (double)plane->value[(size_t)j * plane->width + i];
-
-            if (isnan(value))
-                gsn_canvas_no_data(sheet, x + (int)i, y + (int)j);
-            else
-                gsn_canvas_put(sheet, x + (int)i, y + (int)j,
-                               gsn_colour_of(map, (value - low) / (high - low)));
-        }
-    }
-}
-
-void gsn_plate_range(const struct gsn_plane *plane, double *low, double *high)
-{
-    double least = INFINITY, most = -INFINITY;
-
-    if (*low < *high)
-        return;
-    for (size_t i = 0; i < (size_t)plane->width * plane->height; i++) {
-        least = fmin(least, (double)plane->value[i]);
-        most = fmax(most, (double)plane->value[i]);
-    }
-    if (least > most)
-        least = most = 0.0;
-    /* One colour for one value, in the middle of a scale that says so. */
-    *low = least < most ? least : least - 0.5 * fmax(1e-3, fabs(least));
-    *high = least < most ? most : most + 0.5 * fmax(1e-3, fabs(most));
 }

@@ -17,7 +17,7 @@
 #include <stdio.h>
 
 #include "pipeline/model/resample.h"
-#include "pipeline/render/canvas.h"
+#include "pipeline/render/lettering.h"
 
 static const struct gsn_colour outline_colour = { 214, 48, 49 };
 static const char axis_name[3] = { 'x', 'y', 'z' };

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Letters on pictures, in DejaVu Sans, by cairo and pango.
+/* Letters on pictures, in DejaVu Sans, by cairo and pango, and the sheet a picture is mounted on.
  *
  * Sizes are the height of the face in pixels, places are pixels from the upper left corner. One
  * lettering is used by one thread at a time; any number may be in use. The same text has the same
@@ -8,17 +8,11 @@
 #ifndef GSN_RENDER_LETTERING_H
 #define GSN_RENDER_LETTERING_H
 
-#include "pipeline/core/image.h"
-
-#include <stdint.h>
+#include "pipeline/render/canvas.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-struct gsn_colour {
-    uint8_t r, g, b;
-};
 
 enum gsn_face { GSN_FACE_PLAIN, GSN_FACE_BOLD };
 
@@ -46,6 +40,32 @@ int gsn_lettering_height(struct gsn_lettering *lettering, enum gsn_face face, do
 int gsn_lettering_draw(struct gsn_lettering *lettering, struct gsn_image *image, int x, int y,
                        enum gsn_face face, double px, const char *text, struct gsn_colour colour,
                        struct gsn_error *err);
+
+/* The sheet a picture is mounted on: title above, colour scale to the right, scale bar and a note
+ * below. */
+
+struct gsn_plate {
+    const char *title, *note; /* NULL: none */
+    double um_per_px;         /* for the scale bar; 0: none */
+    int has_scale;            /* whether the four below are shown */
+    const char *unit;
+    double low, high;
+    enum gsn_colour_map map;
+};
+
+/* gives: a white sheet for a picture of this size; the picture's upper left corner goes to
+ * (*ret_x, *ret_y) and is framed already. low < high where has_scale. Fails with GSN_E_NOMEM, and
+ * with GSN_E_NOTFOUND where the fonts are missing. */
+int gsn_plate_new(const struct gsn_plate *plate, uint32_t width, uint32_t height,
+                  struct gsn_image **ret_sheet, int *ret_x, int *ret_y, struct gsn_error *err);
+
+/* Colours of a plane of values at (x, y); NaN is hatched. low < high. */
+void gsn_plate_fill(struct gsn_image *sheet, int x, int y, const struct gsn_plane *plane,
+                    enum gsn_colour_map map, double low, double high);
+
+/* Ends for the colour scale: low and high as given when they differ; otherwise the extremes of the
+ * values, made different when they are not. */
+void gsn_plate_range(const struct gsn_plane *plane, double *low, double *high);
 
 /* The versions that run, as "1.16.0": pixels depend on them. borrows. */
 const char *gsn_lettering_cairo(void);

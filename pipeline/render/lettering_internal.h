@@ -16,9 +16,4 @@ PangoLayout *gsn_lettering_layout(struct gsn_lettering *lettering, enum gsn_face
 /* From here on letters are laid out for a printer: at fractions of a unit, as the font has them. */
 void gsn_lettering_for_paper(struct gsn_lettering *lettering);
 
-/* Mixes the colour into the picture by the weights of an A8 surface whose upper left corner lies at
- * (x, y). Fails with GSN_E_NOMEM when cairo ran out of memory on the way. */
-int gsn_lettering_ink(struct gsn_image *image, int x, int y, cairo_surface_t *weights,
-                      struct gsn_colour colour, struct gsn_error *err);
-
 #endif

@@ -5,7 +5,10 @@
  *
  * Failure: GSN_E_NOMEM; GSN_E_NOTFOUND without the fonts (lettering.h). Cost: linear in the pixels. */
 #include "pipeline/core/srgb.h"
+#include "pipeline/render/lettering.h"
 #include "pipeline/render/ray_cast.h"
+
+#include <math.h>
 
 int gsn_xray_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,
                    const struct gsn_block_box_um *box, const double range[2], const char *title,

@@ -21,7 +21,7 @@
 #include <math.h>
 
 #include "pipeline/core/parallel.h"
-#include "pipeline/render/canvas.h"
+#include "pipeline/render/lettering.h"
 
 enum {
     BAND = 8,    /* rows of the picture a thread paints at a time */

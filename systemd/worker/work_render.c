@@ -22,6 +22,7 @@
 #include "pipeline/core/mem.h"
 #include "pipeline/decode/png_write.h"
 #include "pipeline/render/cells_picture.h"
+#include "pipeline/render/lettering.h"
 #include "pipeline/render/projected_tets.h"
 #include "pipeline/render/ray_cast.h"
 #include "systemd/worker/kept_run.h"

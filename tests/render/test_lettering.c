@@ -7,7 +7,6 @@
 #include <unistd.h>
 
 #include "pipeline/core/parallel.h"
-#include "pipeline/render/canvas.h"
 #include "tests/check.h"
 
 static const struct gsn_colour white = { 255, 255, 255 }, black = { 0, 0, 0 };
@@ -146,6 +145,123 @@ TEST(without_the_font_the_package_is_named_and_nothing_is_given)
     CHECK(unlink(path) == 0 && rmdir(folder) == 0);
 }
 
+static struct gsn_image *mount(const struct gsn_plate *plate, uint32_t width, uint32_t height,
+                               int *ret_x, int *ret_y)
+{
+    struct gsn_image *image = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_plate_new(plate, width, height, &image, ret_x, ret_y, &err), err);
+    return image;
+}
+
+static int is_white(const struct gsn_image *image, uint32_t x, uint32_t y)
+{
+    return gsn_image_at(image, x, y, 0) == 255 && gsn_image_at(image, x, y, 1) == 255 &&
+           gsn_image_at(image, x, y, 2) == 255;
+}
+
+/* The ink of sheets. */
+static int is_ink(const struct gsn_image *image, uint32_t x, uint32_t y)
+{
+    return gsn_image_at(image, x, y, 0) == 40 && gsn_image_at(image, x, y, 2) == 46;
+}
+
+TEST(a_scale_bar_has_a_round_length)
+{
+    const struct {
+        double um_per_px;
+        uint32_t width; /* the bar takes a quarter of it at most */
+        uint32_t px;
+    } case_of[4] = { { 10.0, 400, 100 }, { 7.0, 400, 71 }, { 16.0, 240, 31 }, { 0.3, 360, 67 } };
+
+    for (int i = 0; i < 4; i++) {
+        const struct gsn_plate plate = { .um_per_px = case_of[i].um_per_px };
+        uint32_t longest = 0;
+        int x0, y0;
+        gsn_auto(gsn_image) image = mount(&plate, case_of[i].width, 50, &x0, &y0);
+
+        for (uint32_t y = (uint32_t)y0 + 51; y < image->height; y++) {
+            uint32_t run = 0;
+
+            for (uint32_t x = 0; x < image->width; x++) {
+                run = is_ink(image, x, y) ? run + 1 : 0;
+                longest = run > longest ? run : longest;
+            }
+        }
+        CHECK(longest == case_of[i].px);
+    }
+}
+
+TEST(a_colour_scale_runs_from_low_below_to_high_above)
+{
+    const struct gsn_plate plate = {
+        .has_scale = 1, .low = 0.0, .high = 1.0, .map = GSN_MAP_GREY, .unit = "density"
+    };
+    unsigned before = 256, rows = 0;
+    int x0, y0;
+    gsn_auto(gsn_image) image = mount(&plate, 100, 140, &x0, &y0);
+    const uint32_t column = (uint32_t)x0 + 100 + 12 + 7;
+    uint32_t y = (uint32_t)y0 + 16;
+
+    while (!is_ink(image, column, y))
+        y++; /* the frame above */
+    for (y++; !is_ink(image, column, y); y++, rows++) {
+        CHECK(gsn_image_at(image, column, y, 0) <= before);
+        before = gsn_image_at(image, column, y, 0);
+        CHECK(rows > 0 || before > 250);
+    }
+    CHECK(before < 5 && rows > 80);
+}
+
+TEST(numbers_beside_a_colour_scale_stand_apart)
+{
+    for (uint32_t height = 1; height < 300; height += 23) {
+        const struct gsn_plate plate = { .has_scale = 1, .low = -0.07, .high = 0.31 };
+        int x0, y0, runs = 0, inked = 0;
+        gsn_auto(gsn_image) image = mount(&plate, 60, height, &x0, &y0);
+
+        /* Right of the scale and its ticks there are numbers alone. */
+        for (uint32_t y = 0; y < image->height; y++) {
+            int here = 0;
+
+            for (uint32_t x = (uint32_t)x0 + 60 + 12 + 14 + 5; x < image->width; x++)
+                here |= !is_white(image, x, y);
+            runs += here && !inked;
+            inked = here;
+        }
+        /* At least two say what the colours mean. */
+        CHECK(runs >= 2 && runs <= 9);
+    }
+}
+
+TEST(nothing_on_a_sheet_is_cut_off_at_its_edge)
+{
+    static const char *const said[4] = { NULL, "x",
+                                         "density \xc3\x97 \xc2\xb5m, of the whole region",
+                                         "a title that is far wider than the picture under it g" };
+
+    for (int i = 0; i < 4 * 4 * 4 * 2; i++) {
+        const struct gsn_plate plate = { .title = said[i % 4],
+                                         .note = said[i / 4 % 4],
+                                         .unit = said[i / 16 % 4],
+                                         .um_per_px = i / 64 ? 7.3 : 0.0,
+                                         .has_scale = 1,
+                                         .low = -123456.0,
+                                         .high = 123456.0 };
+        const uint32_t side = i % 3 ? 240 : 1;
+        int x0, y0;
+        gsn_auto(gsn_image) image = mount(&plate, side, side, &x0, &y0);
+
+        for (uint32_t y = 0; y < image->height; y++) {
+            for (uint32_t x = 0; x < image->width; x++) {
+                if (x < 8 || y < 8 || x + 8 >= image->width || y + 8 >= image->height)
+                    CHECK(is_white(image, x, y));
+            }
+        }
+    }
+}
+
 static int draw_one(size_t index, void *context, struct gsn_error *err)
 {
     const struct gsn_plate plate = { .title = index % 2 ? "X-ray" : "data, z = 3",
@@ -179,9 +295,25 @@ static int open_once(struct gsn_error *err)
     return gsn_lettering_new(GSN_FONT_FOLDER, &letters, err);
 }
 
+static int mount_once(struct gsn_error *err)
+{
+    const struct gsn_plate plate = { .title = "cut",
+                                     .note = "z = 3",
+                                     .unit = "density",
+                                     .um_per_px = 4.0,
+                                     .has_scale = 1,
+                                     .low = 0.0,
+                                     .high = 1.0 };
+    gsn_auto(gsn_image) image = NULL;
+    int x, y;
+
+    return gsn_plate_new(&plate, 60, 40, &image, &x, &y, err);
+}
+
 TEST(running_out_of_memory_leaks_nothing)
 {
     struct gsn_error err = { 0 };
 
     CHECK_EVERY_OOM(open_once(&err), err);
+    CHECK_EVERY_OOM(mount_once(&err), err);
 }

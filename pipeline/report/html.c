@@ -3,13 +3,12 @@
 /* The report as one HTML file that fetches nothing.
  *
  * Method: parts are appended to one text in the order of the page; what others wrote passes one
- * escape (text.h). Content Security Policy (W3C) allows pictures inside the file, the style sheet
- * and the two viewers' scripts by their SHA-256, and nothing else.
+ * escape (text.h).
  *
- * Steps: (1) head with the policy; (2) title and contents, a link for each part that is there; (3)
- * verdict, the one figure that is asked for, cards; (4) warnings, volumes, model, pictures, charts,
- * contact sheet, lists, methods, provenance, each left out where the report has nothing for it; (5)
- * foot and script.
+ * Steps: (1) head with the policy (html_elements.c); (2) title and contents, a link for each part
+ * that is there; (3) verdict, the one figure that is asked for, cards; (4) warnings, volumes, model,
+ * pictures, charts, contact sheet, lists, methods, provenance, each left out where the report has
+ * nothing for it; (5) foot and script.
  *
  * Failure: the text remembers that memory ran out, and is asked once. Cost: linear in what is
  * shown; pictures grow by a third as base64. */
@@ -19,104 +18,8 @@
 #include <stdbool.h>
 #include <string.h>
 
-#include "pipeline/core/hash.h"
-#include "pipeline/core/mem.h"
 #include "pipeline/report/chart.h"
-#include "pipeline/report/words.h"
-
-void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
-                    const char *said)
-{
-    gsn_report_text_raw(text, "<img alt=\"");
-    gsn_report_text_escape(text, said);
-    gsn_report_text_print(text, "\" width=\"%u\" height=\"%u\" src=\"data:image/%s;base64,",
-                          png->width, png->height,
-                          png->size > 1 && png->bytes[0] == 0xFF ? "jpeg" : "png");
-    gsn_report_text_base64(text, png->bytes, png->size);
-    gsn_report_text_raw(text, "\">");
-}
-
-void gsn_html_unit(struct gsn_report_text *text, const char *unit)
-{
-    static const char *const known[][2] = {
-        { "mm3", "mm\xC2\xB3" },        { "um3", "\xC2\xB5m\xC2\xB3" }, { "mm2", "mm\xC2\xB2" },
-        { "um2", "\xC2\xB5m\xC2\xB2" }, { "um", "\xC2\xB5m" },          { "percent", "%" },
-        { "mm2/mm3", "mm\xC2\xB2/mm\xC2\xB3" },
-        { "1/mm3", "1/mm\xC2\xB3" },
-    };
-
-    for (size_t i = 0; unit && i < sizeof known / sizeof known[0]; i++) {
-        if (strcmp(unit, known[i][0]) == 0) {
-            gsn_report_text_raw(text, known[i][1]);
-            return;
-        }
-    }
-    gsn_report_text_escape(text, unit);
-}
-
-/* 'sha256-...' as a policy names what it allows: base64 of the raw 32 bytes. */
-static int add_hash(struct gsn_report_text *text, const unsigned char *bytes, size_t size,
-                    struct gsn_error *err)
-{
-    struct gsn_digest digest;
-    unsigned char raw[32];
-    const int r = gsn_sha256(bytes, size, &digest, err);
-
-    if (r < 0)
-        return r;
-    for (size_t i = 0; i < sizeof raw; i++) {
-        const char high = digest.hex[2 * i], low = digest.hex[2 * i + 1];
-
-        raw[i] = (unsigned char)((high <= '9' ? high - '0' : high - 'a' + 10) << 4 |
-                                 (low <= '9' ? low - '0' : low - 'a' + 10));
-    }
-    gsn_report_text_raw(text, "'sha256-");
-    gsn_report_text_base64(text, raw, sizeof raw);
-    gsn_report_text_raw(text, "'");
-    return GSN_OK;
-}
-
-static int add_policy(struct gsn_report_text *text, unsigned scripts, struct gsn_error *err)
-{
-    int r;
-
-    gsn_report_text_raw(
-        text, "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; "
-              "img-src data:; style-src ");
-    r = add_hash(text, gsn_html_style, gsn_html_style_size, err);
-    if (scripts)
-        gsn_report_text_raw(text, "; script-src");
-    if (r >= 0 && scripts & GSN_HTML_MODEL) {
-        gsn_report_text_raw(text, " ");
-        r = add_hash(text, gsn_html_viewer_script, gsn_html_viewer_script_size, err);
-    }
-    if (r >= 0 && scripts & GSN_HTML_ALIGNMENT) {
-        gsn_report_text_raw(text, " ");
-        r = add_hash(text, gsn_html_alignment_script, gsn_html_alignment_script_size, err);
-    }
-    gsn_report_text_raw(text, "; base-uri 'none'; form-action 'none'\">\n");
-    return r;
-}
-
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, unsigned scripts,
-                  struct gsn_error *err)
-{
-    int r;
-
-    gsn_report_text_raw(text,
-                        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n");
-    r = add_policy(text, scripts, err);
-    if (r < 0)
-        return r;
-    gsn_report_text_raw(text,
-                        "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n"
-                        "<meta name=\"referrer\" content=\"no-referrer\">\n<title>");
-    gsn_report_text_escape_short(text, name, 80);
-    gsn_report_text_print(text, "%s \xC2\xB7 gieson</title>\n<style>", kind);
-    gsn_report_text_bytes(text, gsn_html_style, gsn_html_style_size);
-    gsn_report_text_raw(text, "</style>\n</head>\n<body>\n");
-    return GSN_OK;
-}
+#include "pipeline/report/html_elements.h"
 
 static void add_id(struct gsn_report_text *text, const char *name, const char *value)
 {

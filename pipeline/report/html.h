@@ -12,37 +12,6 @@
 extern "C" {
 #endif
 
-/* The style sheet; its hash is what the page's security policy allows. */
-extern const unsigned char gsn_html_style[];
-extern const size_t gsn_html_style_size;
-
-/* viewer.js and alignment.js, likewise. */
-extern const unsigned char gsn_html_viewer_script[];
-extern const size_t gsn_html_viewer_script_size;
-extern const unsigned char gsn_html_alignment_script[];
-extern const size_t gsn_html_alignment_script_size;
-
-/* Which of them a page has, as bits. */
-enum { GSN_HTML_MODEL = 1, GSN_HTML_ALIGNMENT = 2 };
-
-/* Everything up to and with <body>: the policy that nothing is fetched and that nothing runs
- * but these scripts; the title (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM.
- */
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, unsigned scripts,
-                  struct gsn_error *err);
-
-/* Whether there is a text to show. */
-static inline int gsn_html_is_said(const char *text)
-{
-    return text && *text;
-}
-
-/* <img> with the picture as a data: URI. */
-void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
-                    const char *said);
-/* A unit as people write it: mm3 becomes mm with a raised 3. */
-void gsn_html_unit(struct gsn_report_text *text, const char *unit);
-
 /* html_alignment.c: the sections as they lie in the block, to scroll through. */
 void gsn_html_alignment(struct gsn_report_text *text, const struct gsn_report *report);
 
@@ -52,9 +21,6 @@ void gsn_html_script(struct gsn_report_text *text, const struct gsn_report *repo
 
 /* html_sheet.c: every slot of every panel, as laid out on the glass. */
 void gsn_html_sheet(struct gsn_report_text *text, const struct gsn_report *report);
-
-/* html_methods.c: what was done, in words for a manuscript, and how to cite the run. */
-void gsn_html_methods(struct gsn_report_text *text, const struct gsn_report *report);
 
 /* html_tables.c: the poses that a person may choose from, and what people decided. */
 void gsn_html_choices(struct gsn_report_text *text, const struct gsn_report *report);
@@ -67,6 +33,8 @@ void gsn_html_volumes(struct gsn_report_text *text, const struct gsn_report *rep
 void gsn_html_tile(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_measures(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_exclusions(struct gsn_report_text *text, const struct gsn_report *report);
+/* What was done, in words for a manuscript, and how to cite the run. */
+void gsn_html_methods(struct gsn_report_text *text, const struct gsn_report *report);
 void gsn_html_provenance(struct gsn_report_text *text, const struct gsn_report *report);
 
 #ifdef __cplusplus

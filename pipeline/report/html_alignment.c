@@ -14,6 +14,8 @@
 
 #include <math.h>
 
+#include "pipeline/report/html_elements.h"
+
 /* x and y of the block, then the residual's two parts, all in micrometres; empty: no such mark. */
 static void add_marks(struct gsn_report_text *text, const struct gsn_report_section *section)
 {

@@ -10,6 +10,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "pipeline/report/html_elements.h"
+
 /* A state is told by a symbol and a word, never by colour alone. */
 struct look {
     const char *state, *style, *symbol, *meaning;

@@ -5,6 +5,8 @@
  * contact sheet. Without WebGL2 or without scripts one sentence shows instead, and the pictures of the page are all there is. */
 #include "pipeline/report/html.h"
 
+#include "pipeline/report/html_elements.h"
+
 static void add_slider(struct gsn_report_text *text, const char *id, const char *label,
                        unsigned least, unsigned most, unsigned value)
 {

@@ -20,7 +20,7 @@
 #include <string.h>
 
 #include "pipeline/render/paper.h"
-#include "pipeline/report/html.h"
+#include "pipeline/report/text.h"
 
 /* A start or end tag of our own markup. */
 struct tag {

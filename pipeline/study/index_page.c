@@ -11,7 +11,7 @@
 #include "pipeline/study/index_page.h"
 
 #include "pipeline/report/chart.h"
-#include "pipeline/report/html.h"
+#include "pipeline/report/html_elements.h"
 
 #include <math.h>
 #include <string.h>

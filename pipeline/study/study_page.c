@@ -10,7 +10,7 @@
 #include "pipeline/study/study.h"
 
 #include "pipeline/report/chart.h"
-#include "pipeline/report/html.h"
+#include "pipeline/report/html_elements.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -1,0 +1,49 @@
+/* SPDX-License-Identifier: AGPL-3.0-or-later */
+
+/* What every page of ours is made of: its head with the policy of what may run, pictures inside the
+ * file, units as people write them. */
+#ifndef GSN_REPORT_HTML_ELEMENTS_H
+#define GSN_REPORT_HTML_ELEMENTS_H
+
+#include "pipeline/report/report.h"
+#include "pipeline/report/text.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* The style sheet; its hash is what the page's security policy allows. */
+extern const unsigned char gsn_html_style[];
+extern const size_t gsn_html_style_size;
+
+/* viewer.js and alignment.js, likewise. */
+extern const unsigned char gsn_html_viewer_script[];
+extern const size_t gsn_html_viewer_script_size;
+extern const unsigned char gsn_html_alignment_script[];
+extern const size_t gsn_html_alignment_script_size;
+
+/* Which of them a page has, as bits. */
+enum { GSN_HTML_MODEL = 1, GSN_HTML_ALIGNMENT = 2 };
+
+/* Everything up to and with <body>: the policy that nothing is fetched and that nothing runs
+ * but these scripts; the title (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM.
+ */
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, unsigned scripts,
+                  struct gsn_error *err);
+
+/* Whether there is a text to show. */
+static inline int gsn_html_is_said(const char *text)
+{
+    return text && *text;
+}
+
+/* <img> with the picture as a data: URI. */
+void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *png,
+                    const char *said);
+/* A unit as people write it: mm3 becomes mm with a raised 3. */
+void gsn_html_unit(struct gsn_report_text *text, const char *unit);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

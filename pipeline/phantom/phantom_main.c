@@ -4,6 +4,7 @@
  * one. Exit status: 0 done, 1 failed, 2 a check value was missed, 64 the command line is wrong. */
 #include "pipeline/phantom/check.h"
 #include "pipeline/phantom/phantom.h"
+#include "pipeline/phantom/planning.h"
 #include "pipeline/phantom/study.h"
 
 #include <argp.h>

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Which specimen, at which level of difficulty, and how its sections lie on the panels.
+/* The plan of a specimen: which it is, at which level of difficulty, and how its sections lie on
+ * the panels; planning.h makes one.
  *
  * Panels are numbered from 1, slots from 0 row by row, sections k from 0. Panel pixels have their
  * centres at +0.5. A plan is a plain value: everything drawn at random for the poses is in it. */
@@ -140,16 +141,6 @@ struct gsn_phantom_plan {
 enum { GSN_PHANTOM_STUDY_FIRST = 5, GSN_PHANTOM_SPECIMENS = 20 };
 const struct gsn_phantom_specimen *gsn_phantom_specimen_find(const char *name);
 const struct gsn_phantom_specimen *gsn_phantom_specimen_at(int i);
-
-/* Plans a specimen at level "L0".."L3", 4 to 48 um/px, 0 for what is usual. Fails with
- * GSN_E_NOTFOUND for a name nobody defined, GSN_E_LIMIT for the pixel size, GSN_E_NOMEM. */
-int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
-                          struct gsn_phantom_plan *ret_plan, struct gsn_error *err);
-/* The same, of a variant. keeps: its text. Fails with GSN_E_LIMIT too when its lesion is deeper
- * than there is tissue, or its block fills no panel. */
-int gsn_phantom_plan_make_variant(const char *specimen, const char *level, uint64_t seed,
-                                  double px_um, const struct gsn_phantom_variant *variant,
-                                  struct gsn_phantom_plan *ret_plan, struct gsn_error *err);
 
 /* Whether marks, decoys and stain differ from section to section and panel to panel, so that the
  * truth has to say them: at the levels that are handled, and in every variant. */

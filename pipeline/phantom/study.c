@@ -8,6 +8,7 @@
 #include "pipeline/core/file.h"
 #include "pipeline/phantom/buffer.h"
 #include "pipeline/phantom/phantom.h"
+#include "pipeline/phantom/planning.h"
 #include "pipeline/phantom/truth.h"
 
 static int make_animal(const struct gsn_phantom_specimen *animal, const char *level, uint64_t seed,

@@ -2,6 +2,7 @@
 #include "tests/check.h"
 
 #include "pipeline/phantom/calibration.h"
+#include "pipeline/phantom/planning.h"
 
 static struct gsn_phantom_plan plan_of(const char *specimen, const char *level, double px_um)
 {

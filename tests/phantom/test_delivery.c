@@ -8,6 +8,7 @@
 
 #include "pipeline/phantom/delivery.h"
 #include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/planning.h"
 
 static struct gsn_phantom_plan plan_of(const char *level, uint64_t seed)
 {

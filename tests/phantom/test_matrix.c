@@ -7,6 +7,7 @@
 
 #include "pipeline/phantom/label.h"
 #include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/planning.h"
 
 enum { SIDE = GSN_PHANTOM_MATRIX_SIDE };
 

@@ -5,6 +5,7 @@
 
 #include "pipeline/core/mem.h"
 #include "pipeline/phantom/overlay.h"
+#include "pipeline/phantom/planning.h"
 
 enum { WIDE = 2300, HIGH = 1560 };
 

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/planning.h"
 
 /* One panel and the plan it was drawn from. */
 struct drawn {

@@ -10,6 +10,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/phantom/phantom.h"
+#include "pipeline/phantom/planning.h"
 #include "pipeline/phantom/truth.h"
 
 enum { MOST_BYTES = 64 << 20 };

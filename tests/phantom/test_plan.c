@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "pipeline/phantom/plan.h"
+#include "pipeline/phantom/planning.h"
 
 static void check_there_and_back(const struct gsn_phantom_section *s, double px_um)
 {

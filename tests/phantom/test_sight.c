@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/planning.h"
 #include "pipeline/phantom/sight.h"
 
 static struct gsn_phantom_plan plan_of(uint64_t seed, double px_um)

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "pipeline/core/mem.h"
+#include "pipeline/phantom/planning.h"
 #include "pipeline/phantom/study.h"
 #include "pipeline/phantom/truth.h"
 

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/planning.h"
 #include "pipeline/phantom/truth.h"
 
 #include <dirent.h>

@@ -5,6 +5,7 @@
 
 #include "pipeline/decode/png_write.h"
 #include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/planning.h"
 #include "pipeline/register/fiducial/fiducial.h"
 #include "pipeline/specimen/orientation.h"
 #include "pipeline/stain/artefact/dust.h"

@@ -9,6 +9,7 @@
 #include "storage/panel_log.h"
 #include "tests/check.h"
 #include "pipeline/phantom/panel.h"
+#include "pipeline/phantom/planning.h"
 #include "tests/specimen/drawn_panel.h"
 #include "tests/systemd/worker/bench_job.h"
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
 
-#include "pipeline/phantom/plan.h"
+#include "pipeline/phantom/planning.h"
 
 enum { SEEDS = 60, DRAWN = SEEDS * GSN_PHANTOM_SECTIONS };
 

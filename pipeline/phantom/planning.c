@@ -1,19 +1,200 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What goes wrong with a specimen. The particulars of each defect (where it lies, how large it is)
- * are drawn for a kind and a section that are settled; then the kinds are dealt out like cards, so
- * that a specimen sees each of them before it sees one twice. Every section and every kind has a
- * stream of random numbers of its own: one more defect changes none of the others. */
-#include "pipeline/phantom/mishap.h"
+/* Plans a specimen: everything that is drawn at random for it.
+ *
+ * Steps: (1) level and specimen as the variant has them, and as many panels as they fill; (2) poses
+ * of the sections, stain and glass of each panel; (3) the files that the panels come in as
+ * (delivery.c); (4) what goes wrong: lost sections, defects, marks and decoys. The particulars of
+ * each defect (where it lies, how large it is) are drawn for a kind and a section that are settled;
+ * then the kinds are dealt out like cards, so that a specimen sees each of them before it sees one
+ * twice. Every section and every kind has a stream of random numbers of its own: one more defect
+ * changes none of the others.
+ *
+ * Failure: names that nobody defined, sizes beyond the limits, memory. Cost: none to speak of. */
+#include "pipeline/phantom/planning.h"
 
-#include "pipeline/phantom/plan.h"
+#include "pipeline/core/mem.h"
+#include "pipeline/phantom/delivery.h"
 #include "pipeline/phantom/stain.h"
 
 #include <math.h>
+#include <string.h>
+
+#define RAD_PER_DEG (M_PI / 180)
+
+/* Of a panel, beside its slots. */
+static const double BORDER_X_UM = 4800, BORDER_Y_UM = 960;
+static const double LEAST_PX_UM = 4, MOST_PX_UM = 48;
+
+/* --- levels --- */
+
+/* A bad bench, however its panels come in. */
+#define BAD_BENCH                                                                                  \
+    .turn_within_deg = 180, .flip_share = .10, .jitter_um = 1300, .size_sd = .02, .axis_sd = .01,  \
+    .warp_rms_um = 30, .mark_missing_share = .08, .mark_wander_um = 6, .decoys_most = 6,           \
+    .ln_red_sd = .20, .ln_yellow_sd = .25, .dye_turn_deg = 5, .white_sd = .03, .ramp = .10,        \
+    .illumination = .15, .noise_sd = 3, .texture = 1.3, .defects_least = 6, .defects_most = 8,     \
+    .missing_least = 2, .missing_most = 3, .handled = 1, .extension = "jpg", .quality = 60
+
+static const struct gsn_phantom_level LEVEL[] = {
+    { .name = "L0", .extension = "png" },
+    { .name = "L1",
+      .turn_within_deg = 10,
+      .jitter_um = 300,
+      .illumination = .02,
+      .noise_sd = 1.2,
+      .texture = 1,
+      .extension = "tif" },
+    { .name = "L2",
+      .turn_sd_deg = 12,
+      .half_turn_share = .05,
+      .flip_share = .03,
+      .jitter_um = 600,
+      .size_sd = .008,
+      .axis_sd = .004,
+      .warp_rms_um = 10,
+      .mark_missing_share = .03,
+      .mark_wander_um = 2,
+      .decoys_most = 2,
+      .ln_red_sd = .10,
+      .ln_yellow_sd = .15,
+      .dye_turn_deg = 2,
+      .white_sd = .01,
+      .ramp = .05,
+      .illumination = .06,
+      .noise_sd = 1.5,
+      .texture = 1,
+      .defects_least = 2,
+      .defects_most = 3,
+      .missing_least = 1,
+      .missing_most = 1,
+      .handled = 1,
+      .extension = "jpg",
+      .quality = 85 },
+    { .name = "L3", .awkward = 1, BAD_BENCH },
+    { .name = "L3-whole", BAD_BENCH },
+};
+
+static const struct gsn_phantom_level *find_level(const char *name)
+{
+    for (size_t i = 0; i < sizeof LEVEL / sizeof *LEVEL; i++)
+        if (strcmp(LEVEL[i].name, name) == 0)
+            return &LEVEL[i];
+    return NULL;
+}
+
+/* --- poses and stains --- */
+
+/* Within -most..most. */
+static double draw_within(struct gsn_phantom_random *random, double most)
+{
+    return most * (2 * gsn_phantom_uniform(random) - 1);
+}
+
+/* What a hand adds to the pose: some sections lie upside down or turned over, and the water has
+ * stretched them. */
+static void handle_section(const struct gsn_phantom_level *level, struct gsn_phantom_random *random,
+                           struct gsn_phantom_section *s)
+{
+    double size;
+
+    s->theta += RAD_PER_DEG * gsn_phantom_normal(random, level->turn_sd_deg);
+    s->theta += gsn_phantom_uniform(random) < level->half_turn_share ? M_PI : 0;
+    s->flip = gsn_phantom_uniform(random) < level->flip_share;
+    size = gsn_phantom_normal(random, level->size_sd);
+    s->sx = 1 + size + gsn_phantom_normal(random, level->axis_sd);
+    s->sy = 1 + size + gsn_phantom_normal(random, level->axis_sd);
+}
+
+static void place_section(struct gsn_phantom_plan *plan, int k)
+{
+    struct gsn_phantom_section *s = &plan->section[k];
+    struct gsn_phantom_random random = gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_POSE, k, 0);
+    struct gsn_point centre;
+
+    *s = (struct gsn_phantom_section){ .k = k,
+                                       .panel = k / plan->slots + 1,
+                                       .slot = k % plan->slots,
+                                       .shows = k,
+                                       .z_um = gsn_phantom_section_z(&plan->variant.geometry, k),
+                                       .sx = 1,
+                                       .sy = 1 };
+    centre = gsn_phantom_slot_centre_um(plan, s->slot);
+    s->theta = RAD_PER_DEG * draw_within(&random, plan->level.turn_within_deg);
+    s->centre_px.x = (centre.x + draw_within(&random, plan->level.jitter_um)) / plan->px_um;
+    s->centre_px.y = (centre.y + draw_within(&random, plan->level.jitter_um)) / plan->px_um;
+    if (plan->level.handled || plan->level.size_sd > 0)
+        handle_section(&plan->level, &random, s);
+    s->to_panel = gsn_phantom_panel_map(s, plan->px_um);
+}
+
+static void mix_batch(struct gsn_phantom_plan *plan, int panel)
+{
+    /* Above this a brighter glass would clip, which is a fault of the scanner, not of the glass. */
+    const double brightest = 254;
+    const struct gsn_phantom_level *level = &plan->level;
+    struct gsn_phantom_batch *batch = &plan->batch[panel];
+    struct gsn_phantom_random random =
+        gsn_phantom_plan_random(plan, GSN_PHANTOM_STREAM_BATCH, panel, 0);
+
+    *batch = (struct gsn_phantom_batch){ .red_gain = plan->specimen.red_gain,
+                                         .yellow_gain = plan->specimen.yellow_gain };
+    for (int i = 0; i < GSN_PHANTOM_DYES; i++)
+        gsn_phantom_variant_dye(&plan->variant, (enum gsn_phantom_dye)i, batch->dye[i]);
+    for (int c = 0; c < 3; c++)
+        batch->white[c] = gsn_phantom_white[c];
+    if (!level->handled && level->dye_turn_deg == 0)
+        return;
+    batch->red_gain *= exp(gsn_phantom_normal(&random, level->ln_red_sd));
+    batch->yellow_gain *= exp(gsn_phantom_normal(&random, level->ln_yellow_sd));
+    for (int i = 0; i < GSN_PHANTOM_MARK; i++)
+        gsn_phantom_turn_vector(
+            &random, RAD_PER_DEG * gsn_phantom_normal(&random, level->dye_turn_deg), batch->dye[i]);
+    for (int c = 0; c < 3; c++)
+        batch->white[c] =
+            fmin(brightest, batch->white[c] * (1 + gsn_phantom_normal(&random, level->white_sd)));
+}
+
+/* What the variant has instead of what the level and the specimen have. */
+static void apply_variant(struct gsn_phantom_plan *plan)
+{
+    const struct gsn_phantom_variant *v = &plan->variant;
+
+    plan->specimen.depth *= v->loss;
+    plan->specimen.red_gain *= v->stain_strength;
+    plan->specimen.yellow_gain *= v->stain_strength;
+    plan->level.texture *= v->texture;
+    if (v->panel_turn_deg >= 0)
+        plan->level.dye_turn_deg = v->panel_turn_deg;
+    if (v->size_share >= 0)
+        plan->level.size_sd = v->size_share;
+    if (v->jpeg_quality >= 0) {
+        plan->level.extension = v->jpeg_quality > 0 ? "jpg" : "png";
+        plan->level.quality = v->jpeg_quality;
+    }
+}
+
+/* As many panels as the sections of the specimen and of its block fill. */
+static void count_panels(struct gsn_phantom_plan *plan)
+{
+    const struct gsn_phantom_variant *v = &plan->variant;
+    const int sections = plan->specimen.sections < v->geometry.sections ? plan->specimen.sections
+                                                                        : v->geometry.sections;
+    const double frame = 2 * gsn_phantom_frame_um(plan);
+    const double pitch_um = 2 * gsn_phantom_slot_half_um;
+
+    plan->slots = v->rows * v->columns;
+    plan->panels = sections / plan->slots;
+    plan->sections = plan->panels * plan->slots;
+    plan->width = (uint32_t)lround((BORDER_X_UM + pitch_um * v->columns + frame) / plan->px_um);
+    plan->height = (uint32_t)lround((BORDER_Y_UM + pitch_um * v->rows + frame) / plan->px_um);
+}
+
+/* --- the shapes of defects --- */
 
 /* A place anywhere in a disc. */
-static struct gsn_point gsn_phantom_around(struct gsn_phantom_random *random,
-                                           struct gsn_point centre, double radius)
+static struct gsn_point draw_around(struct gsn_phantom_random *random, struct gsn_point centre,
+                                    double radius)
 {
     const double r = radius * sqrt(gsn_phantom_uniform(random));
     const double phi = gsn_phantom_between(random, 0, 2 * M_PI);
@@ -22,8 +203,8 @@ static struct gsn_point gsn_phantom_around(struct gsn_phantom_random *random,
 }
 
 /* The middle of a section, um on its panel. */
-static struct gsn_point gsn_phantom_centre_um(const struct gsn_phantom_plan *plan,
-                                              const struct gsn_phantom_section *s)
+static struct gsn_point find_centre_um(const struct gsn_phantom_plan *plan,
+                                       const struct gsn_phantom_section *s)
 {
     return (struct gsn_point){ s->centre_px.x * plan->px_um, s->centre_px.y * plan->px_um };
 }
@@ -55,7 +236,7 @@ static void shape_piece(const struct gsn_phantom_plan *plan, struct gsn_phantom_
         (slot.y + (which & 2 ? corner : -corner)) / plan->px_um,
     };
 
-    d->at = gsn_phantom_around(random, middle, 1700);
+    d->at = draw_around(random, middle, 1700);
     d->count = 7;
     for (size_t i = 0; i < d->count; i++) {
         const double phi = 2 * M_PI * (double)i / (double)d->count;
@@ -87,11 +268,11 @@ static void shape_hair(struct gsn_phantom_random *random, struct gsn_point centr
 
     d->width = 12;
     d->count = 6;
-    draw_wandering(random, gsn_phantom_around(random, centre, 2000), heading,
+    draw_wandering(random, draw_around(random, centre, 2000), heading,
                    gsn_phantom_between(random, 350, 700), .9, d);
     d->at = d->point[0];
     for (int i = 0; i < GSN_PHANTOM_DUST; i++) {
-        d->dust[i].at = gsn_phantom_around(random, centre, 2600);
+        d->dust[i].at = draw_around(random, centre, 2600);
         d->dust[i].radius = gsn_phantom_between(random, 12, 50);
     }
 }
@@ -111,7 +292,7 @@ static void shape_pen(struct gsn_phantom_random *random, struct gsn_point slot,
         const struct gsn_point from = { centre.x - length / 2 * cos(phi),
                                         centre.y - length / 2 * sin(phi) };
 
-        draw_wandering(random, gsn_phantom_around(random, from, 600), phi, length / 3, .3, d);
+        draw_wandering(random, draw_around(random, from, 600), phi, length / 3, .3, d);
     } else {
         const struct gsn_point from = { slot.x - length / 2, slot.y + side * 3100 };
 
@@ -152,11 +333,10 @@ static void make_touch(const struct gsn_phantom_plan *plan, struct gsn_phantom_r
 
 /* Fills in what its kind needs. Touching moves the section and its right neighbour, which must lie
  * in the same row. */
-static void gsn_phantom_defect_shape(const struct gsn_phantom_plan *plan,
-                                     struct gsn_phantom_random *random,
-                                     struct gsn_phantom_section *s, struct gsn_phantom_defect *d)
+static void shape_defect(const struct gsn_phantom_plan *plan, struct gsn_phantom_random *random,
+                         struct gsn_phantom_section *s, struct gsn_phantom_defect *d)
 {
-    const struct gsn_point centre = gsn_phantom_centre_um(plan, s);
+    const struct gsn_point centre = find_centre_um(plan, s);
 
     switch (d->kind) {
     case GSN_PHANTOM_TEAR:
@@ -176,7 +356,7 @@ static void gsn_phantom_defect_shape(const struct gsn_phantom_plan *plan,
         shape_hair(random, centre, d);
         break;
     case GSN_PHANTOM_BUBBLE:
-        d->at = gsn_phantom_around(random, centre, 2200);
+        d->at = draw_around(random, centre, 2200);
         d->radius = gsn_phantom_between(random, 300, 1200);
         break;
     case GSN_PHANTOM_COVERSLIP_EDGE:
@@ -189,7 +369,7 @@ static void gsn_phantom_defect_shape(const struct gsn_phantom_plan *plan,
         shape_pen(random, gsn_phantom_slot_centre_um(plan, s->slot), centre, d);
         break;
     case GSN_PHANTOM_DEFOCUS:
-        d->at = gsn_phantom_around(random, centre, 2000);
+        d->at = draw_around(random, centre, 2000);
         d->radius = gsn_phantom_between(random, 500, 1500);
         d->sigma_px = gsn_phantom_between(random, 1, 3);
         break;
@@ -271,7 +451,7 @@ static void strew_debris(const struct gsn_phantom_plan *plan, struct gsn_phantom
             decoy->kind = GSN_PHANTOM_DEBRIS;
             decoy->radius_um *= size;
         }
-        decoy->at_um = gsn_phantom_around(&random, gsn_phantom_centre_um(plan, s), reach);
+        decoy->at_um = draw_around(&random, find_centre_um(plan, s), reach);
         s->decoys += !near_mark(plan, s, decoy->at_um);
     }
 }
@@ -363,7 +543,7 @@ static int draw_section(struct dealing *deal, enum gsn_phantom_defect_kind kind)
 
         if (!may_befall(deal, kind, slot))
             continue;
-        gsn_phantom_defect_shape(deal->plan, deal->random, &deal->plan->section[d.k], &d);
+        shape_defect(deal->plan, deal->random, &deal->plan->section[d.k], &d);
         deal->used[slot] = 1;
         if (kind == GSN_PHANTOM_COVERSLIP_EDGE) {
             note_row(deal, d);
@@ -437,7 +617,7 @@ static void deal_defects(struct gsn_phantom_plan *plan)
     }
 }
 
-void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan)
+static void draw_mishaps(struct gsn_phantom_plan *plan)
 {
     if (plan->level.handled)
         deal_defects(plan);
@@ -446,4 +626,61 @@ void gsn_phantom_mishaps_draw(struct gsn_phantom_plan *plan)
         if (plan->level.handled || plan->variant.decoys >= 0)
             strew_debris(plan, &plan->section[k]);
     }
+}
+
+/* --- the plan --- */
+
+int gsn_phantom_plan_make(const char *specimen, const char *level, uint64_t seed, double px_um,
+                          struct gsn_phantom_plan *ret_plan, struct gsn_error *err)
+{
+    const struct gsn_phantom_variant usual = gsn_phantom_variant_usual();
+
+    return gsn_phantom_plan_make_variant(specimen, level, seed, px_um, &usual, ret_plan, err);
+}
+
+int gsn_phantom_plan_make_variant(const char *specimen, const char *level, uint64_t seed,
+                                  double px_um, const struct gsn_phantom_variant *variant,
+                                  struct gsn_phantom_plan *ret_plan, struct gsn_error *err)
+{
+    const struct gsn_phantom_specimen *of = gsn_phantom_specimen_find(specimen);
+    const struct gsn_phantom_level *at = find_level(level);
+    gsn_auto_mem(struct gsn_phantom_plan) plan = gsn_alloc_array(1, sizeof *plan);
+
+    if (!plan)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the plan of %s", specimen);
+    if (!of)
+        return gsn_fail(err, GSN_E_NOTFOUND,
+                        "no specimen %s: there are S00 to S04, and of the study N1 to N4, S1 to "
+                        "S4, U1 to U4, T2, T4 and T8",
+                        specimen);
+    if (!at)
+        return gsn_fail(err, GSN_E_NOTFOUND, "no level %s: there are L0 to L3, and L3-whole",
+                        level);
+    if (px_um == 0)
+        px_um = of->usual_px_um;
+    if (!(px_um >= LEAST_PX_UM && px_um <= MOST_PX_UM))
+        return gsn_fail(err, GSN_E_LIMIT, "a pixel of %g um: it must be %g to %g um", px_um,
+                        LEAST_PX_UM, MOST_PX_UM);
+    if (of->depth * variant->loss > 1)
+        return gsn_fail(err, GSN_E_LIMIT,
+                        "the lesion of %s is %g deep: its \"loss\" can be %.3f at most", specimen,
+                        of->depth, 1 / of->depth);
+    plan->specimen = *of;
+    plan->level = *at;
+    plan->seed = seed;
+    plan->px_um = px_um;
+    plan->variant = *variant;
+    apply_variant(plan);
+    count_panels(plan);
+    if (plan->panels == 0)
+        return gsn_fail(err, GSN_E_LIMIT, "%d sections do not fill a panel of %d",
+                        variant->geometry.sections, plan->slots);
+    for (int k = 0; k < plan->sections; k++)
+        place_section(plan, k);
+    for (int panel = 0; panel < plan->panels; panel++)
+        mix_batch(plan, panel);
+    gsn_phantom_delivery_draw(plan);
+    draw_mishaps(plan);
+    *ret_plan = *plan;
+    return GSN_OK;
 }

@@ -404,16 +404,22 @@ static const struct gsn_view view = { .direction = { -0.5, 0.4, 0.77 },
                                       .width = 120,
                                       .height = 100 };
 
-static int picture(const struct kuhn *kuhn, const struct gsn_view *from, unsigned threads,
-                   struct gsn_image **ret_image, struct gsn_error *err)
+static int draw_within(const struct kuhn *kuhn, const struct gsn_view *from, double error_um,
+                       unsigned threads, struct gsn_image **ret_image, struct gsn_error *err)
 {
     const struct gsn_trimesh_style style = { .title = "level 0", .outline = 1 };
     gsn_auto(gsn_trimesh) surface = NULL;
-    int r = surface_of(kuhn->spline, 0, 11, threads, &surface, err);
+    int r = surface_of(kuhn->spline, 0, error_um, threads, &surface, err);
 
     if (r == GSN_OK)
         r = gsn_trimesh_paint(surface, kuhn->mesh, from, &style, threads, ret_image, err);
     return r;
+}
+
+static int picture(const struct kuhn *kuhn, const struct gsn_view *from, unsigned threads,
+                   struct gsn_image **ret_image, struct gsn_error *err)
+{
+    return draw_within(kuhn, from, 11, threads, ret_image, err);
 }
 
 TEST(the_picture_of_a_ball_is_a_disc_of_the_right_size_on_any_number_of_threads)
@@ -492,7 +498,7 @@ static int once(const struct kuhn *kuhn, struct gsn_error *err)
 {
     gsn_auto(gsn_image) image = NULL;
 
-    return picture(kuhn, &view, 1, &image, err);
+    return draw_within(kuhn, &view, 100, 1, &image, err);
 }
 
 TEST(running_out_of_memory_leaks_nothing)

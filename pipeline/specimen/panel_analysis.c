@@ -636,17 +636,6 @@ static int find_panel_marks(const struct gsn_scan *scan, const struct gsn_protoc
     return protocol->has_markers ? check_way_round(scan, &lie, answers, findings, err) : GSN_OK;
 }
 
-struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
-{
-    static const enum gsn_order orders[] = { [GSN_PROTOCOL_ROW] = GSN_ORDER_ROW,
-                                             [GSN_PROTOCOL_COLUMN] = GSN_ORDER_COLUMN,
-                                             [GSN_PROTOCOL_SNAKE] = GSN_ORDER_SNAKE };
-
-    return (struct gsn_layout){ .rows = protocol->rows,
-                                .columns = protocol->columns,
-                                .order = orders[protocol->order] };
-}
-
 const char *gsn_sighting_name(enum gsn_sighting sighting)
 {
     static const char *const names[] = { "found", "needs-eye", "missing", "empty", "held" };

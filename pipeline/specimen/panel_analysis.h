@@ -10,7 +10,7 @@
 #include "pipeline/core/progress.h"
 #include "pipeline/register/fiducial/fiducial.h"
 #include "pipeline/register/panel/slots.h"
-#include "pipeline/specimen/fiducial_poses.h"
+#include "pipeline/specimen/candidates.h"
 #include "pipeline/specimen/protocol.h"
 #include "pipeline/specimen/scan.h"
 #include "pipeline/specimen/section_flags.h"
@@ -98,8 +98,5 @@ int gsn_panel_analyse(struct gsn_decoder *decoder, int picture_fd,
                       struct gsn_error *err);
 void gsn_panel_findings_free(struct gsn_panel_findings *findings);
 GSN_DEFINE_AUTO(gsn_panel_findings);
-
-/* The layout as the register's own record. */
-struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol);
 
 #endif

@@ -1,22 +1,29 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Lists the sections of a specimen and finds the pose of each.
+/* Lists the sections of a specimen, and finds the poses of all of them by their marks.
  *
  * 1. Every slot of every panel that the job expects or that came is a section with a serial number;
  *    one whose panel did not come is missing. Pieces between the slots are the panel's alone.
- * 2. Poses by marks (fiducial_poses.c), all sections together.
- * 3. Poses by the tissue of neighbours where marks place none (tissue_poses.c).
- * 4. The extent of what is posed, on which later lattices of the whole block rest.
- * 5. Refinement by tissue, where the job asks for it (tissue_refinement.c).
+ * 2. The marks of all sections that may be used go into one solution (register/pose.h): the common
+ *    triangle, then a weighted rigid fit a section.
+ * 3. What the job says about strain is done with the sections' own stretch: reported, ignored, or
+ *    taken out.
+ * 4. Sections whose panel leaves open which spots are their marks, and those whose three marks
+ *    contradict the stack, get their candidates (candidates.c), laid in the stack.
  *
- * What cannot be placed is a state with a reason. Steps 3 and 5 read the panels again. */
+ * A stack that cannot be solved is a state, with a sentence. */
 #include "pipeline/specimen/poses.h"
 
 #include "pipeline/register/panel/slots.h"
+#include "pipeline/register/pose/pose.h"
+#include "pipeline/register/pose/strain.h"
+#include "pipeline/register/pose/tre.h"
 
-#include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
+/* ---- the sections ---------------------------------------------------------------------------- */
 
 const char *gsn_section_state_name(enum gsn_section_state state)
 {
@@ -120,44 +127,208 @@ int gsn_poses_marks(const struct gsn_poses *poses, struct gsn_section_marks **re
     return GSN_OK;
 }
 
-/* The boxes of all posed sections in the block. */
-static struct gsn_block_box find_extent(const struct gsn_poses *poses, double interval_um)
-{
-    struct gsn_block_box box = { { INFINITY, INFINITY, INFINITY },
-                                 { -INFINITY, -INFINITY, -INFINITY } };
-
-    for (size_t i = 0; i < poses->section_count; i++) {
-        const struct gsn_section *s = &poses->section[i];
-
-        for (int corner = 0; s->posed && corner < 4; corner++) {
-            const struct gsn_point px = { s->seen.x + (corner & 1 ? s->seen.width : 0),
-                                          s->seen.y + (corner & 2 ? s->seen.height : 0) };
-            const struct gsn_point um = gsn_affine_apply(&s->pose.panel_to_block_um, px);
-
-            box.low = gsn_vec3_make(fmin(box.low.x, um.x), fmin(box.low.y, um.y),
-                                    fmin(box.low.z, interval_um * s->seen.serial));
-            box.high = gsn_vec3_make(fmax(box.high.x, um.x), fmax(box.high.y, um.y),
-                                     fmax(box.high.z, interval_um * (s->seen.serial + 1)));
-        }
-    }
-    return box;
-}
-
-int gsn_poses_find(const struct gsn_specimen *specimen, const struct gsn_specimen_options *options,
-                   const struct gsn_mask *region, struct gsn_calibrations *calibrations,
-                   struct gsn_poses *poses, struct gsn_error *err)
-{
-    int r = gsn_poses_by_fiducials(specimen, region, poses, err);
-
-    if (r >= 0)
-        r = gsn_poses_by_tissue(specimen, options, region, poses, err);
-    if (r < 0)
-        return r;
-    poses->extent = find_extent(poses, specimen->protocol->interval_um);
-    return gsn_poses_refine(specimen, options, region, calibrations, poses, err);
-}
-
 void gsn_poses_done(struct gsn_poses *poses)
 {
     gsn_free(poses->section);
+}
+
+/* ---- their poses by marks -------------------------------------------------------------------- */
+
+/* As gsn_pose_solve() takes them. */
+static struct gsn_pose_targets targets_of(const struct gsn_pose_summary *summary,
+                                          const struct gsn_pose_options *options)
+{
+    const struct gsn_point *t = summary->mean_triangle;
+    const double rho = summary->rho_um, x = (t[0].x + t[1].x + t[2].x) / GSN_FIDUCIALS,
+                 y = (t[0].y + t[1].y + t[2].y) / GSN_FIDUCIALS;
+    const struct gsn_point around[] = {
+        { x + rho, y }, { x - rho, y }, { x, y + rho }, { x, y - rho }
+    };
+
+    return options->target_count > 0
+               ? gsn_pose_targets_of(options->targets_um, options->target_count)
+               : gsn_pose_targets_of(around, 4);
+}
+
+/* Upright is the job's frame, or else the way most sections lie. */
+static struct gsn_point upright_of(const struct gsn_poses *poses, int declared)
+{
+    struct gsn_point upright = { declared, 0 };
+
+    for (size_t i = 0; i < poses->section_count && !declared; i++) {
+        struct gsn_point d;
+
+        if (!poses->section[i].posed)
+            continue;
+        d = gsn_candidate_direction(&poses->section[i].pose.panel_to_block_um);
+        upright.x += d.x;
+        upright.y += d.y;
+    }
+    return upright;
+}
+
+/* Lays a section's candidates in the stack that the marks solved. */
+static void lay_candidates(const struct gsn_specimen *specimen, const struct gsn_poses *poses,
+                           const struct gsn_pose_targets *targets, struct gsn_section *s)
+{
+    const double px_um = gsn_specimen_find_panel(specimen, s->panel)->px_um;
+    struct gsn_point onto[GSN_FIDUCIALS];
+
+    gsn_axes_at(&poses->summary.axes, s->seen.serial, poses->summary.mean_triangle, onto);
+    gsn_candidates_lay(&s->candidates, px_um, onto);
+    gsn_candidates_predict(&s->candidates, px_um, &poses->summary, targets);
+}
+
+/* Lays the candidates of every section that has some in the solved stack; sections whose three
+ * marks contradict it get theirs. */
+static void list_candidates(const struct gsn_specimen *specimen,
+                            const struct gsn_pose_options *options, struct gsn_poses *poses)
+{
+    const struct gsn_pose_targets targets = targets_of(&poses->summary, options);
+    const struct gsn_point upright = upright_of(poses, options->markers_um != NULL);
+
+    for (size_t i = 0; i < poses->section_count; i++) {
+        struct gsn_section *s = &poses->section[i];
+
+        if (s->pose.gross && s->pose.state == GSN_POSE_OK)
+            gsn_candidates_of_gross(s->seen.mark, &s->pose, &s->candidates);
+        else if (s->candidates.count > 0)
+            lay_candidates(specimen, poses, &targets, s);
+        gsn_candidates_say(&s->candidates, upright);
+    }
+}
+
+void gsn_candidates_offer_marks(const struct gsn_specimen *specimen,
+                                const struct gsn_pose_options *options,
+                                const struct gsn_poses *poses, struct gsn_section *s)
+{
+    const struct gsn_pose_targets targets = targets_of(&poses->summary, options);
+
+    gsn_candidates_of_marks(s->seen.mark, s->pose.flipped, &s->candidates);
+    lay_candidates(specimen, poses, &targets, s);
+    gsn_candidates_say(&s->candidates, upright_of(poses, options->markers_um != NULL));
+}
+
+/* What a person chose is used, two marks or not; one that contradicts the stack is still said to be
+ * doubtful. */
+static enum gsn_section_state state_of(const struct gsn_section *section)
+{
+    const struct gsn_pose *pose = &section->pose;
+    const int pair = pose->state == GSN_POSE_TWO_MARKS;
+    const int decided = section->candidates.chosen > 0;
+
+    /* Of two sections that have grown together, the tissue is not parted, whatever their marks say.
+     */
+    if (!section->posed || section->seen.sighting == GSN_SIGHT_HELD ||
+        (pose->gross && !(pair && decided)))
+        return GSN_SECTION_HELD;
+    return (pair && !decided) || pose->gross ? GSN_SECTION_DOUBTFUL : GSN_SECTION_USED;
+}
+
+static void take_pose(struct gsn_section *section, const struct gsn_pose *pose)
+{
+    struct gsn_fiducial in_order[GSN_FIDUCIALS];
+
+    section->pose = *pose;
+    section->posed = pose->state != GSN_POSE_NONE;
+    for (size_t i = 0; i < GSN_FIDUCIALS; i++)
+        in_order[i] = section->seen.mark[pose->order[i]];
+    if (section->posed)
+        memcpy(section->seen.mark, in_order, sizeof in_order);
+    if (pose->gross)
+        gsn_flags_add(&section->flags, GSN_FLAG_RESIDUAL);
+    if (pose->flipped)
+        gsn_flags_add(&section->flags, GSN_FLAG_FLIPPED);
+    if (pose->rotated180)
+        gsn_flags_add(&section->flags, GSN_FLAG_TURNED);
+    section->state = state_of(section);
+}
+
+static enum gsn_strain_mode strain_mode(const struct gsn_protocol *protocol)
+{
+    static const enum gsn_strain_mode modes[] = {
+        [GSN_PROTOCOL_STRAIN_REPORTED] = GSN_STRAIN_REPORTED,
+        [GSN_PROTOCOL_STRAIN_RIGID] = GSN_STRAIN_RIGID,
+        [GSN_PROTOCOL_STRAIN_CORRECTED] = GSN_STRAIN_CORRECTED,
+        [GSN_PROTOCOL_STRAIN_TISSUE] = GSN_STRAIN_TISSUE,
+    };
+
+    return modes[protocol->strain];
+}
+
+/* Does with the sections' strain what the protocol says. */
+static void use_strain(struct gsn_poses *poses, const struct gsn_pose_options *options)
+{
+    const struct gsn_pose_targets targets =
+        gsn_pose_targets_of(options->targets_um, options->target_count);
+    struct gsn_affine mean = { 1, 0, 0, 0, 1, 0 };
+
+    if (poses->summary.as_declared)
+        mean = gsn_strain_of_mean(poses->summary.mean_triangle, options->markers_um);
+    for (size_t i = 0; i < poses->section_count; i++) {
+        struct gsn_section *s = &poses->section[i];
+
+        if (!s->posed || !poses->summary.stretches ||
+            (poses->strain_mode != GSN_STRAIN_CORRECTED && poses->strain_mode != GSN_STRAIN_TISSUE))
+            continue;
+        s->pose.panel_to_block_um = gsn_strain_corrected(&s->pose);
+        s->pose.panel_to_block_um = gsn_affine_compose(&s->pose.panel_to_block_um, &mean);
+        if (targets.count > 0)
+            s->pose.tre_um = gsn_pose_tre_rms(&s->pose.error, &targets, 1);
+    }
+}
+
+int gsn_poses_by_fiducials(const struct gsn_specimen *specimen, const struct gsn_mask *region,
+                           struct gsn_poses *poses, struct gsn_error *err)
+{
+    gsn_auto_mem(struct gsn_pose_input) inputs =
+        gsn_alloc_array(poses->section_count, sizeof *inputs);
+    gsn_auto_mem(struct gsn_pose) solved = gsn_alloc_array(poses->section_count, sizeof *solved);
+    gsn_auto_mem(struct gsn_point) targets = NULL;
+    struct gsn_pose_options options = { .markers_um = specimen->protocol->has_markers
+                                                          ? specimen->protocol->markers_um
+                                                          : NULL };
+    struct gsn_error why = { 0 };
+    size_t count = 0;
+    int r;
+
+    poses->strain_mode = GSN_STRAIN_RIGID;
+    if (specimen->protocol->registration == GSN_PROTOCOL_TISSUE)
+        return GSN_OK;
+    if (!inputs || !solved)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for poses");
+    r = gsn_region_targets(region, &targets, &options.target_count, err);
+    if (r < 0)
+        return r;
+    options.targets_um = targets;
+    for (size_t i = 0; i < poses->section_count; i++)
+        if (poses->section[i].state == GSN_SECTION_HELD) {
+            inputs[count] = (struct gsn_pose_input){
+                .serial = poses->section[i].seen.serial,
+                .px_um = gsn_specimen_find_panel(specimen, poses->section[i].panel)->px_um,
+                .mirrored = gsn_flags_has(&poses->section[i].seen.flags, GSN_FLAG_MIRRORED)
+            };
+            memcpy(inputs[count].marks, poses->section[i].seen.mark, sizeof inputs[count].marks);
+            count++;
+        }
+    r = gsn_pose_solve(inputs, count, &options, solved, &poses->summary, &why);
+    if (r == GSN_E_NOMEM)
+        return gsn_fail(err, r, "%s", why.text);
+    poses->solved = r >= 0;
+    if (r < 0)
+        (void)snprintf(poses->unsolved, sizeof poses->unsolved, "%s%s", why.text,
+                       r == GSN_E_MARKERS ? "; if no marks were burnt, state \"registration\": "
+                                            "\"tissue\" in job.json"
+                                          : "");
+    for (size_t i = 0, p = 0; r >= 0 && i < poses->section_count; i++)
+        if (poses->section[i].state == GSN_SECTION_HELD)
+            take_pose(&poses->section[i], &solved[p++]);
+    if (r < 0)
+        return GSN_OK;
+    list_candidates(specimen, &options, poses);
+    poses->panel_stretch = gsn_strain_of_panel(inputs, solved, count, options.markers_um,
+                                               poses->summary.mean_triangle);
+    poses->strain_mode = strain_mode(specimen->protocol);
+    use_strain(poses, &options);
+    return GSN_OK;
 }

@@ -3,8 +3,8 @@
 /* The sections of a specimen and how they lie in the block: what the first stage returns, and all
  * later ones read.
  *
- * poses.c lists the sections; fiducial_poses.c solves the stack by marks, tissue_poses.c by the
- * tissue of neighbours, and tissue_refinement.c moves sections on where the job asks for it. */
+ * poses.c lists the sections and solves the stack by marks, tissue_poses.c by the tissue of
+ * neighbours, and tissue_refinement.c moves sections on where the job asks for it. */
 #ifndef GSN_SPECIMEN_POSES_H
 #define GSN_SPECIMEN_POSES_H
 
@@ -89,12 +89,6 @@ struct gsn_poses {
  * there zeroed. Fails with GSN_E_NOMEM. */
 int gsn_poses_list(const struct gsn_specimen *specimen, struct gsn_poses *poses,
                    struct gsn_error *err);
-/* Poses of all that are listed. region: the mask that is known by now, or NULL. Sections and stacks
- * that cannot be placed are states. Fails with GSN_E_NOMEM, GSN_E_IO, and as its panels are read.
- */
-int gsn_poses_find(const struct gsn_specimen *specimen, const struct gsn_specimen_options *options,
-                   const struct gsn_mask *region, struct gsn_calibrations *calibrations,
-                   struct gsn_poses *poses, struct gsn_error *err);
 void gsn_poses_done(struct gsn_poses *poses);
 
 /* gives: the marks of all sections as their panels show them. Fails with GSN_E_NOMEM. */
@@ -110,16 +104,12 @@ const char *gsn_section_state_name(enum gsn_section_state state);
 const struct gsn_specimen_panel *gsn_specimen_find_panel(const struct gsn_specimen *specimen,
                                                          unsigned number);
 
-/* ---- by marks (fiducial_poses.c) ---- */
+/* ---- by marks (poses.c) ---- */
 
 /* Poses of all sections together by their marks, where the job asks for marks. A stack that cannot
  * be solved is a state, with a sentence. */
 int gsn_poses_by_fiducials(const struct gsn_specimen *specimen, const struct gsn_mask *region,
                            struct gsn_poses *poses, struct gsn_error *err);
-/* gives: points of the region, thinned evenly: where the predicted error matters. None without a
- * region. */
-int gsn_region_targets(const struct gsn_mask *region, struct gsn_point **ret_points,
-                       size_t *ret_count, struct gsn_error *err);
 /* Gives a section with three marks the ways to place it on two of them, and that on all. */
 void gsn_candidates_offer_marks(const struct gsn_specimen *specimen,
                                 const struct gsn_pose_options *options,

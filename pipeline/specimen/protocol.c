@@ -980,3 +980,14 @@ unsigned gsn_protocol_sections(const struct gsn_protocol *p)
 
     return p->sections && (p->sections < slots || !slots) ? p->sections : slots;
 }
+
+struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol)
+{
+    static const enum gsn_order orders[] = { [GSN_PROTOCOL_ROW] = GSN_ORDER_ROW,
+                                             [GSN_PROTOCOL_COLUMN] = GSN_ORDER_COLUMN,
+                                             [GSN_PROTOCOL_SNAKE] = GSN_ORDER_SNAKE };
+
+    return (struct gsn_layout){ .rows = protocol->rows,
+                                .columns = protocol->columns,
+                                .order = orders[protocol->order] };
+}

@@ -9,6 +9,7 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
+#include "pipeline/register/panel/slots.h"
 #include "pipeline/specimen/region.h"
 #include "pipeline/stain/calibration.h"
 
@@ -133,5 +134,8 @@ GSN_DEFINE_AUTO(gsn_protocol);
 
 /* The number of slots of all stated panels, or the stated sections when that is less. */
 unsigned gsn_protocol_sections(const struct gsn_protocol *protocol);
+
+/* The layout as the register's own record. */
+struct gsn_layout gsn_protocol_layout(const struct gsn_protocol *protocol);
 
 #endif

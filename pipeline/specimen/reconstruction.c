@@ -4,7 +4,10 @@
  *
  * 1. Every slot that the job expects or that came becomes a section (poses.c).
  * 2. The region and the lattice around it (region.c).
- * 3. Poses (poses.c): by marks, by neighbouring tissue, refined where the job asks for it.
+ * 3. Poses: by marks, all sections together (poses.c), by the tissue of neighbours where marks place
+ * none (tissue_poses.c); then the extent of what is posed, on which later lattices of the whole
+ * block rest, and refinement by tissue where the job asks for it (tissue_refinement.c). What cannot
+ * be placed is a state with a reason.
  * 4. Every panel is opened once more: masks, quality control, density and colour, resampled into
  * the stack; what is told by comparing sections or panels is gathered on the way (density_stack.c).
  * 5. The panels are brought to one scale (normalisation.c), a band is looked for, and what the
@@ -14,6 +17,46 @@
  *
  * Sections and panels that cannot be used are states with a reason, not failures. */
 #include "pipeline/specimen/reconstruction.h"
+
+#include <math.h>
+
+/* The boxes of all posed sections in the block. */
+static struct gsn_block_box find_extent(const struct gsn_poses *poses, double interval_um)
+{
+    struct gsn_block_box box = { { INFINITY, INFINITY, INFINITY },
+                                 { -INFINITY, -INFINITY, -INFINITY } };
+
+    for (size_t i = 0; i < poses->section_count; i++) {
+        const struct gsn_section *s = &poses->section[i];
+
+        for (int corner = 0; s->posed && corner < 4; corner++) {
+            const struct gsn_point px = { s->seen.x + (corner & 1 ? s->seen.width : 0),
+                                          s->seen.y + (corner & 2 ? s->seen.height : 0) };
+            const struct gsn_point um = gsn_affine_apply(&s->pose.panel_to_block_um, px);
+
+            box.low = gsn_vec3_make(fmin(box.low.x, um.x), fmin(box.low.y, um.y),
+                                    fmin(box.low.z, interval_um * s->seen.serial));
+            box.high = gsn_vec3_make(fmax(box.high.x, um.x), fmax(box.high.y, um.y),
+                                     fmax(box.high.z, interval_um * (s->seen.serial + 1)));
+        }
+    }
+    return box;
+}
+
+static int find_poses(const struct gsn_specimen *specimen,
+                      const struct gsn_specimen_options *options, const struct gsn_mask *region,
+                      struct gsn_calibrations *calibrations, struct gsn_poses *poses,
+                      struct gsn_error *err)
+{
+    int r = gsn_poses_by_fiducials(specimen, region, poses, err);
+
+    if (r >= 0)
+        r = gsn_poses_by_tissue(specimen, options, region, poses, err);
+    if (r < 0)
+        return r;
+    poses->extent = find_extent(poses, specimen->protocol->interval_um);
+    return gsn_poses_refine(specimen, options, region, calibrations, poses, err);
+}
 
 /* The lattice of the stack: of the stated region, or, where a band will be looked for, of all that
  * is posed. ret_lattice is NULL where there is neither region nor solution. */
@@ -45,7 +88,7 @@ static int run_stages(const struct gsn_specimen *specimen,
     if (r >= 0)
         r = gsn_calibrations_init(specimen, &a->calibrations, err);
     if (r >= 0)
-        r = gsn_poses_find(specimen, options, a->region, &a->calibrations, &a->poses, err);
+        r = find_poses(specimen, options, a->region, &a->calibrations, &a->poses, err);
     if (r >= 0)
         r = place_stack(specimen, px_um, has_band, a, &lattice, &stack, err);
     if (r >= 0)

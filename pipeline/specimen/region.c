@@ -104,6 +104,32 @@ int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice 
     return GSN_OK;
 }
 
+enum { MOST_TARGETS = 4096 };
+
+int gsn_region_targets(const struct gsn_mask *region, struct gsn_point **ret_points,
+                       size_t *ret_count, struct gsn_error *err)
+{
+    const size_t total = region ? gsn_mask_count(region) : 0;
+    const size_t every = total / MOST_TARGETS + 1;
+    gsn_auto_mem(struct gsn_point) points = gsn_alloc_array(total / every + 1, sizeof *points);
+    size_t seen = 0, count = 0;
+
+    if (!points)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for target points");
+    for (size_t i = 0; total && i < gsn_lattice_count(&region->at); i++) {
+        const size_t x = i % region->at.nx, y = i / region->at.nx % region->at.ny;
+        struct gsn_vec3 u;
+
+        if (!region->inside[i] || seen++ % every != 0)
+            continue;
+        u = gsn_lattice_centre(&region->at, x, y, 0);
+        points[count++] = (struct gsn_point){ .x = u.x, .y = u.y };
+    }
+    *ret_points = gsn_steal(&points);
+    *ret_count = count;
+    return GSN_OK;
+}
+
 static int is_within(const struct gsn_region *region, struct gsn_vec3 u)
 {
     return region->low.z <= u.z && u.z < region->high.z &&

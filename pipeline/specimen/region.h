@@ -48,6 +48,11 @@ void gsn_region_describe(const struct gsn_region *region, char *text, size_t roo
 int gsn_region_raster(const struct gsn_region *region, const struct gsn_lattice *at,
                       struct gsn_mask **ret_mask, struct gsn_error *err);
 
+/* gives: points of the region, thinned evenly: where the predicted error matters. None without a
+ * region. */
+int gsn_region_targets(const struct gsn_mask *region, struct gsn_point **ret_points,
+                       size_t *ret_count, struct gsn_error *err);
+
 /* ---- a band at a distance from a body: a tissue that is found in the block itself, or a mask ----
  */
 

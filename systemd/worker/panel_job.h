@@ -4,7 +4,7 @@
 #ifndef GSN_SYSTEMD_WORKER_PANEL_JOB_H
 #define GSN_SYSTEMD_WORKER_PANEL_JOB_H
 
-#include "pipeline/specimen/fiducial_poses.h"
+#include "pipeline/specimen/candidates.h"
 #include "pipeline/core/progress.h"
 #include "pipeline/specimen/panel_analysis.h"
 #include "pipeline/register/fiducial/fiducial.h"

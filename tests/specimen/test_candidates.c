@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/specimen/fiducial_poses.h"
+#include "pipeline/specimen/candidates.h"
 
 #include "pipeline/register/fiducial/correspondence.h"
 #include "pipeline/register/fiducial/fiducial.h"

@@ -7,8 +7,8 @@
  * whose three marks contradict the stack has those that leave one of them out. A person's choice
  * names the spots and not the number, so that it holds for as long as they are there. Marks are in
  * pixels of the upright picture. */
-#ifndef GSN_SPECIMEN_FIDUCIAL_POSES_H
-#define GSN_SPECIMEN_FIDUCIAL_POSES_H
+#ifndef GSN_SPECIMEN_CANDIDATES_H
+#define GSN_SPECIMEN_CANDIDATES_H
 
 #include "pipeline/register/fiducial/correspondence.h"
 #include "pipeline/register/fiducial/fiducial.h"

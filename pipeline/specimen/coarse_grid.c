@@ -1,24 +1,17 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The whole block in coarse cells, and the colours of its tissue.
+/* The whole block in coarse cells.
  *
  * A cell of GSN_COARSE_UM holds the mean density and colour of the pixels whose centre lies in it.
  * It is known where half of it was seen, and is tissue where nine tenths of that is no glass.
  *
- * The colours of tissue, panel by panel on the panels' common scale, and the mean colour of the
- * region tell later, beside another specimen's, where tissue without collagen lies
- * (stain/hue_distribution.h). A cell counts where it and its four neighbours are tissue, so that
- * none is cut by an edge. What normalisation took off a panel's density is taken off the red of its
- * cells. */
+ * How far each column of cells lies from a region is told by an exact distance transform of the
+ * region's shadow on one plane. Fails with GSN_E_NOMEM alone. */
 #include "pipeline/specimen/coarse_grid.h"
 
 #include "pipeline/core/distance.h"
 #include "pipeline/register/stack/resample.h"
-#include "pipeline/specimen/normalisation.h"
-#include "pipeline/stain/hue_distribution.h"
-#include "pipeline/stain/normalisation.h"
 #include "pipeline/stain/optical_density.h"
-#include "pipeline/stain/stain_vectors.h"
 
 #include <math.h>
 
@@ -211,144 +204,4 @@ int gsn_coarse_grid_footprint(const struct gsn_mask *region, const struct gsn_la
         footprint->inside[i] = away->value[i] <= (float)margin_um;
     *ret_footprint = gsn_steal(&footprint);
     return GSN_OK;
-}
-
-/* ---- the colours of its tissue ----------------------------------------------------------------
- */
-
-/* What brings a panel's density to the common scale: (density - offset) / gain. */
-static struct gsn_gain_offset level_of(const struct gsn_densities *d, const struct gsn_scale *scale,
-                                 const struct gsn_panel_scale *panel)
-{
-    if (panel->levelled)
-        return panel->level;
-    return (struct gsn_gain_offset){ scale->by_standards || (d->tissue_grid && !scale->not_comparable[0])
-                                   ? panel->gain.gain
-                                   : 1,
-                               0 };
-}
-
-/* Density by the panel's own vectors, and what is to be added to it. */
-static void cell_od(const struct gsn_densities *d, const struct gsn_scale *scale, size_t p,
-                    size_t i, double ret_od[3])
-{
-    const struct gsn_panel_scale *panel = &scale->panel[p];
-    const struct gsn_gain_offset level = level_of(d, scale, panel);
-    const struct gsn_dyes *dyes = &d->panel[p].stain.fit.dyes;
-    const double seen = (double)d->coarse->density->value[i];
-    /* Levelled columns hold the common scale already. */
-    const double common = panel->levelled ? seen : (seen - level.offset) / level.gain;
-    const double own = panel->levelled ? level.gain * seen + level.offset : seen;
-
-    for (int c = 0; c < 3; c++)
-        ret_od[c] =
-            (double)d->coarse->od[c]->value[i] + (common - own) * dyes->full_red_od * dyes->red[c];
-}
-
-static int is_tissue(const struct gsn_coarse_grid *columns, size_t i)
-{
-    return !isnan(columns->density->value[i]);
-}
-
-static int is_inside(const struct gsn_coarse_grid *columns, size_t x, size_t y, size_t i)
-{
-    const struct gsn_lattice *at = &columns->density->at;
-
-    return x > 0 && y > 0 && x + 1 < at->nx && y + 1 < at->ny && is_tissue(columns, i) &&
-           is_tissue(columns, i - 1) && is_tissue(columns, i + 1) &&
-           is_tissue(columns, i - at->nx) && is_tissue(columns, i + at->nx);
-}
-
-/* Variance of a cell by the noise of its pixels. */
-static double noise_of(const struct gsn_stack_panel *panel)
-{
-    const double px_um = panel->given->px_um, side = GSN_COARSE_UM / px_um;
-    const double apart = fmax(1, floor(side / 2));
-
-    return panel->glass.noise_od * panel->glass.noise_od / fmax(1, side * side / apart);
-}
-
-/* Sums of R, G and B, and how many cells. */
-struct sum {
-    double od[3], cells;
-};
-
-static void add_cell(const double od[3], struct sum *sum)
-{
-    for (int c = 0; c < 3; c++)
-        sum->od[c] += od[c];
-    sum->cells++;
-}
-
-static void mean_of(const struct sum *sum, double ret_od[3])
-{
-    for (int c = 0; c < 3; c++)
-        ret_od[c] = sum->cells > 0 ? sum->od[c] / sum->cells : (double)NAN;
-}
-
-/* One panel's planes; sums up the cells of the region, and of tissue that is stated to hold no
- * collagen (NULL: none is), on the way. */
-static void add_plane(const struct gsn_mask *region, const struct gsn_densities *d,
-                      const struct gsn_scale *scale, size_t p, const struct gsn_mask *without,
-                      size_t z, struct gsn_cloud_tally *tally, struct sum *ret_region,
-                      struct sum *ret_free)
-{
-    const struct gsn_lattice *at = &d->coarse->density->at;
-
-    for (size_t y = 0; y < at->ny; y++)
-        for (size_t x = 0; x < at->nx; x++) {
-            const size_t i = gsn_lattice_index(at, x, y, z);
-            double od[3];
-
-            if (!is_tissue(d->coarse, i))
-                continue;
-            cell_od(d, scale, p, i, od);
-            if (is_inside(d->coarse, x, y, i))
-                gsn_cloud_tally_add(tally, od, 1);
-            if (gsn_mask_has(region, gsn_lattice_centre(at, x, y, z)))
-                add_cell(od, ret_region);
-            if (without && without->inside[i])
-                add_cell(od, ret_free);
-        }
-}
-
-int gsn_scale_count_colours(const struct gsn_specimen *specimen, const struct gsn_mask *region,
-                            const struct gsn_poses *poses, const struct gsn_densities *d,
-                            struct gsn_scale *scale, struct gsn_error *err)
-{
-    gsn_auto(gsn_cloud_tally) tally = NULL;
-    gsn_auto(gsn_mask) without = NULL;
-    struct sum inside = { .cells = 0 }, none = { .cells = 0 };
-    double before, squares = 0;
-    int r;
-
-    mean_of(&inside, scale->region_od);
-    mean_of(&none, scale->free_od);
-    if (!d->coarse || !region)
-        return GSN_OK;
-    r = gsn_cloud_new(d->panel_count, &scale->cloud, err);
-    if (r >= 0)
-        r = gsn_cloud_tally_new(&tally, err);
-    if (r >= 0 && specimen->protocol->collagen_free.kind != GSN_REGION_NONE)
-        r = gsn_region_raster(&specimen->protocol->collagen_free, &d->coarse->density->at, &without,
-                              err);
-    for (size_t p = 0; p < d->panel_count && r >= 0; p++) {
-        const struct gsn_lattice *at = &d->coarse->density->at;
-
-        if (!d->panel[p].opened)
-            continue;
-        scale->cloud->panel[p].panel = d->panel[p].stain.panel;
-        scale->cloud->panel[p].noise = noise_of(&d->panel[p]);
-        scale->cloud->panel[p].lossy = d->panel[p].lossy;
-        before = none.cells;
-        for (size_t z = 0; z < at->nz; z++)
-            if (gsn_panel_of_plane(poses, d, at, z, specimen->protocol->interval_um) == (int)p)
-                add_plane(region, d, scale, p, without, z, tally, &inside, &none);
-        squares += (none.cells - before) * (none.cells - before);
-        r = gsn_cloud_tally_take(tally, &scale->cloud->panel[p], err);
-    }
-    mean_of(&inside, scale->region_od);
-    mean_of(&none, scale->free_od);
-    scale->free_panels = squares > 0 ? none.cells * none.cells / squares : 0;
-    return r;
 }

@@ -22,7 +22,6 @@
 #include "pipeline/register/stack/resample.h"
 #include "pipeline/register/stack/resample_colour.h"
 #include "pipeline/specimen/aligned_pictures.h"
-#include "pipeline/specimen/normalisation.h"
 #include "pipeline/specimen/quality_control.h"
 #include "pipeline/specimen/section_order.h"
 #include "pipeline/specimen/section_pictures.h"
@@ -33,6 +32,7 @@
 #include "pipeline/stain/flat_field.h"
 #include "pipeline/stain/optical_density.h"
 #include "pipeline/stain/stain_vectors.h"
+#include "pipeline/stain/staining_uniformity.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -11,8 +11,13 @@
  * chained to one gain and offset a panel, regularised by the same comparison within panels.
  *
  * The standard error of a mean density: dye vectors and white, gains, steps between panels; and,
- * where no tissue was stated, the scatter of each panel's strongest stained tissue (staining
- * uniformity) with Student's t for few panels.
+ * where no tissue was stated, the scatter of each panel's strongest stained tissue
+ * (stain/staining_uniformity.h).
+ *
+ * The colours of tissue, panel by panel on that scale, and the mean colour of the region tell
+ * later, beside another specimen's, where tissue without collagen lies (stain/hue_distribution.h).
+ * A cell of the coarse grid counts where it and its four neighbours are tissue, so that none is cut
+ * by an edge. What was taken off a panel's density is taken off the red of its cells.
  *
  * That the scale cannot be had is a state, with a sentence. */
 #include "pipeline/specimen/normalisation.h"
@@ -20,80 +25,12 @@
 #include "pipeline/core/robust.h"
 #include "pipeline/stain/hue_distribution.h"
 #include "pipeline/stain/normalisation.h"
+#include "pipeline/stain/stain_vectors.h"
+#include "pipeline/stain/staining_uniformity.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-
-/* Paler than this, a pixel of a section's box is glass, fat or marrow. */
-static const double PALE = 0.1;
-
-/* The share of the tissue that counts as the strongest stained, by its lower end. */
-static const double STRONGEST = 0.95;
-
-enum { MOST_SAMPLES = 100000, LEAST_SAMPLES = 200 };
-
-unsigned gsn_uniformity_rows_apart(int width, int height)
-{
-    return (unsigned)((double)width * height / MOST_SAMPLES) + 1;
-}
-
-int gsn_uniformity_of_section(const struct gsn_plane *density, double *ret_strength,
-                              struct gsn_error *err)
-{
-    const size_t pixels = (size_t)density->width * density->height;
-    gsn_auto_mem(double) sample = gsn_alloc_array(pixels, sizeof *sample);
-    size_t count = 0;
-
-    if (!sample)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the strength of a stain");
-    for (size_t i = 0; i < pixels; i++)
-        if ((double)density->value[i] > PALE)
-            sample[count++] = density->value[i];
-    *ret_strength = count < LEAST_SAMPLES
-                        ? (double)NAN
-                        : gsn_order_pick(sample, count, (size_t)(STRONGEST * (double)count));
-    return GSN_OK;
-}
-
-double gsn_uniformity_of_panel(double *strength, size_t count)
-{
-    size_t known = 0;
-
-    for (size_t i = 0; i < count; i++)
-        if (!isnan(strength[i]))
-            strength[known++] = strength[i];
-    return known > 0 ? gsn_order_pick(strength, known, known / 2) : (double)NAN;
-}
-
-/* Student's t for 95 %, two sides, over that of the normal distribution. */
-static double student_widening(size_t freedom)
-{
-    static const double t[] = { 12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262 };
-    const size_t known = sizeof t / sizeof t[0];
-
-    return freedom == 0 ? 1 : freedom <= known ? t[freedom - 1] / 1.96 : 1 + 1.2 / (double)freedom;
-}
-
-struct gsn_uniformity gsn_uniformity_of(const double *strength, size_t count, size_t inside)
-{
-    struct gsn_uniformity e = { .panels = 0 };
-    double sum = 0, squares = 0;
-
-    for (size_t i = 0; i < count; i++)
-        if (strength[i] > 0) {
-            e.panels++;
-            sum += log(strength[i]);
-        }
-    for (size_t i = 0; i < count; i++)
-        if (strength[i] > 0)
-            squares += pow(log(strength[i]) - sum / (double)e.panels, 2);
-    if (e.panels < 2)
-        return e;
-    e.scatter = sqrt(squares / (double)(e.panels - 1));
-    e.error = student_widening(e.panels - 1) * e.scatter / sqrt((double)inside);
-    return e;
-}
 
 /* ---- what the stain leaves open ---------------------------------------------------------------
  */
@@ -666,4 +603,144 @@ void gsn_scale_done(struct gsn_scale *scale)
 {
     gsn_free(scale->panel);
     gsn_cloud_free(scale->cloud);
+}
+
+/* ---- the colours of all tissue ----------------------------------------------------------------
+ */
+
+/* What brings a panel's density to the common scale: (density - offset) / gain. */
+static struct gsn_gain_offset level_of(const struct gsn_densities *d, const struct gsn_scale *scale,
+                                 const struct gsn_panel_scale *panel)
+{
+    if (panel->levelled)
+        return panel->level;
+    return (struct gsn_gain_offset){ scale->by_standards || (d->tissue_grid && !scale->not_comparable[0])
+                                   ? panel->gain.gain
+                                   : 1,
+                               0 };
+}
+
+/* Density by the panel's own vectors, and what is to be added to it. */
+static void cell_od(const struct gsn_densities *d, const struct gsn_scale *scale, size_t p,
+                    size_t i, double ret_od[3])
+{
+    const struct gsn_panel_scale *panel = &scale->panel[p];
+    const struct gsn_gain_offset level = level_of(d, scale, panel);
+    const struct gsn_dyes *dyes = &d->panel[p].stain.fit.dyes;
+    const double seen = (double)d->coarse->density->value[i];
+    /* Levelled columns hold the common scale already. */
+    const double common = panel->levelled ? seen : (seen - level.offset) / level.gain;
+    const double own = panel->levelled ? level.gain * seen + level.offset : seen;
+
+    for (int c = 0; c < 3; c++)
+        ret_od[c] =
+            (double)d->coarse->od[c]->value[i] + (common - own) * dyes->full_red_od * dyes->red[c];
+}
+
+static int is_tissue(const struct gsn_coarse_grid *columns, size_t i)
+{
+    return !isnan(columns->density->value[i]);
+}
+
+static int is_inside(const struct gsn_coarse_grid *columns, size_t x, size_t y, size_t i)
+{
+    const struct gsn_lattice *at = &columns->density->at;
+
+    return x > 0 && y > 0 && x + 1 < at->nx && y + 1 < at->ny && is_tissue(columns, i) &&
+           is_tissue(columns, i - 1) && is_tissue(columns, i + 1) &&
+           is_tissue(columns, i - at->nx) && is_tissue(columns, i + at->nx);
+}
+
+/* Variance of a cell by the noise of its pixels. */
+static double noise_of(const struct gsn_stack_panel *panel)
+{
+    const double px_um = panel->given->px_um, side = GSN_COARSE_UM / px_um;
+    const double apart = fmax(1, floor(side / 2));
+
+    return panel->glass.noise_od * panel->glass.noise_od / fmax(1, side * side / apart);
+}
+
+/* Sums of R, G and B, and how many cells. */
+struct sum {
+    double od[3], cells;
+};
+
+static void add_cell(const double od[3], struct sum *sum)
+{
+    for (int c = 0; c < 3; c++)
+        sum->od[c] += od[c];
+    sum->cells++;
+}
+
+static void mean_of(const struct sum *sum, double ret_od[3])
+{
+    for (int c = 0; c < 3; c++)
+        ret_od[c] = sum->cells > 0 ? sum->od[c] / sum->cells : (double)NAN;
+}
+
+/* One panel's planes; sums up the cells of the region, and of tissue that is stated to hold no
+ * collagen (NULL: none is), on the way. */
+static void add_plane(const struct gsn_mask *region, const struct gsn_densities *d,
+                      const struct gsn_scale *scale, size_t p, const struct gsn_mask *without,
+                      size_t z, struct gsn_cloud_tally *tally, struct sum *ret_region,
+                      struct sum *ret_free)
+{
+    const struct gsn_lattice *at = &d->coarse->density->at;
+
+    for (size_t y = 0; y < at->ny; y++)
+        for (size_t x = 0; x < at->nx; x++) {
+            const size_t i = gsn_lattice_index(at, x, y, z);
+            double od[3];
+
+            if (!is_tissue(d->coarse, i))
+                continue;
+            cell_od(d, scale, p, i, od);
+            if (is_inside(d->coarse, x, y, i))
+                gsn_cloud_tally_add(tally, od, 1);
+            if (gsn_mask_has(region, gsn_lattice_centre(at, x, y, z)))
+                add_cell(od, ret_region);
+            if (without && without->inside[i])
+                add_cell(od, ret_free);
+        }
+}
+
+int gsn_scale_count_colours(const struct gsn_specimen *specimen, const struct gsn_mask *region,
+                            const struct gsn_poses *poses, const struct gsn_densities *d,
+                            struct gsn_scale *scale, struct gsn_error *err)
+{
+    gsn_auto(gsn_cloud_tally) tally = NULL;
+    gsn_auto(gsn_mask) without = NULL;
+    struct sum inside = { .cells = 0 }, none = { .cells = 0 };
+    double before, squares = 0;
+    int r;
+
+    mean_of(&inside, scale->region_od);
+    mean_of(&none, scale->free_od);
+    if (!d->coarse || !region)
+        return GSN_OK;
+    r = gsn_cloud_new(d->panel_count, &scale->cloud, err);
+    if (r >= 0)
+        r = gsn_cloud_tally_new(&tally, err);
+    if (r >= 0 && specimen->protocol->collagen_free.kind != GSN_REGION_NONE)
+        r = gsn_region_raster(&specimen->protocol->collagen_free, &d->coarse->density->at, &without,
+                              err);
+    for (size_t p = 0; p < d->panel_count && r >= 0; p++) {
+        const struct gsn_lattice *at = &d->coarse->density->at;
+
+        if (!d->panel[p].opened)
+            continue;
+        scale->cloud->panel[p].panel = d->panel[p].stain.panel;
+        scale->cloud->panel[p].noise = noise_of(&d->panel[p]);
+        scale->cloud->panel[p].lossy = d->panel[p].lossy;
+        before = none.cells;
+        for (size_t z = 0; z < at->nz; z++)
+            if (gsn_panel_of_plane(poses, d, at, z, specimen->protocol->interval_um) == (int)p)
+                add_plane(region, d, scale, p, without, z, tally, &inside, &none);
+        squares += (none.cells - before) * (none.cells - before);
+        r = gsn_cloud_tally_take(tally, &scale->cloud->panel[p], err);
+    }
+    mean_of(&inside, scale->region_od);
+    mean_of(&none, scale->free_od);
+    scale->free_panels = squares > 0 ? none.cells * none.cells / squares : 0;
+    return r;
 }

@@ -1,13 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The scale of the densities: how the panels of a specimen were brought to one, what other
- * specimens can be compared by, and what the stain leaves open.
- *
- * Staining uniformity: a bath that dyes one panel a tenth stronger than the next shows as a tenth
- * more collagen. Where neither a stated tissue (stain/normalisation.h) nor tissue that is found
- * (stain/normalisation.h) takes that out, it can still be seen: the strongest stained tissue of
- * every panel is the same kind of tissue, so the scatter of its density from panel to panel is what
- * the bath did. The next specimen's panels may be off by as much. */
+ * specimens can be compared by, and what the stain leaves open. */
 #ifndef GSN_SPECIMEN_NORMALISATION_H
 #define GSN_SPECIMEN_NORMALISATION_H
 
@@ -83,34 +77,11 @@ void gsn_scale_sum_errors(const struct gsn_specimen *specimen, const struct gsn_
 int gsn_scale_find_tissues(const struct gsn_specimen *specimen, const struct gsn_mask *region,
                            const struct gsn_poses *poses, const struct gsn_densities *densities,
                            struct gsn_scale *scale, struct gsn_error *err);
-/* The colours of all tissue, panel by panel, and the region's mean colour (coarse_grid.c). Fails
- * with GSN_E_NOMEM. */
+/* The colours of all tissue, panel by panel, and the region's mean colour. Fails with
+ * GSN_E_NOMEM. */
 int gsn_scale_count_colours(const struct gsn_specimen *specimen, const struct gsn_mask *region,
                             const struct gsn_poses *poses, const struct gsn_densities *densities,
                             struct gsn_scale *scale, struct gsn_error *err);
 void gsn_scale_done(struct gsn_scale *scale);
-
-/* ---- staining uniformity ---- */
-
-/* Density of the strongest stained twentieth of a section's tissue; NaN where it has too little.
- * density: pixels of its box; NaN: masked. Fails with GSN_E_NOMEM. */
-int gsn_uniformity_of_section(const struct gsn_plane *density, double *ret_strength,
-                              struct gsn_error *err);
-/* Of a panel: the median of its sections, NaN where none has one; reorders them. */
-double gsn_uniformity_of_panel(double *strength, size_t count);
-
-/* Every how manieth row of a box tells the strength as well as all of them. */
-unsigned gsn_uniformity_rows_apart(int width, int height);
-
-struct gsn_uniformity {
-    size_t panels;  /* with a strength */
-    double scatter; /* relative standard deviation from panel to panel; 0 for fewer than 2 */
-    double error;   /* relative standard error of a mean density over `inside` panels, wide enough
-                       that 1.96 of it hold 95 % though the scatter is known from few panels */
-};
-
-/* inside: how many panels the region reaches into, 1 or more. strength: count, NaN where a panel
- * has none. */
-struct gsn_uniformity gsn_uniformity_of(const double *strength, size_t count, size_t inside);
 
 #endif

@@ -12,8 +12,8 @@
  * the stack; what is told by comparing sections or panels is gathered on the way (density_stack.c).
  * 5. The panels are brought to one scale (normalisation.c), a band is looked for, and what the
  * stain leaves open is summed up.
- * 6. Tissue that was not treated and the colours of all tissue are kept for other specimens
- *    (control_tissue.c, coarse_grid.c).
+ * 6. Tissue that was not treated (control_tissue.c) and the colours of all tissue (normalisation.c)
+ * are kept for other specimens.
  *
  * Sections and panels that cannot be used are states with a reason, not failures. */
 #include "pipeline/specimen/reconstruction.h"

@@ -60,15 +60,6 @@ static struct gsn_section section_of(const struct gsn_panel_section *seen, unsig
     return section;
 }
 
-const struct gsn_specimen_panel *gsn_specimen_find_panel(const struct gsn_specimen *specimen,
-                                                         unsigned number)
-{
-    for (size_t i = 0; i < specimen->panel_count; i++)
-        if (specimen->panel[i].number == number && specimen->panel[i].section_count > 0)
-            return &specimen->panel[i];
-    return NULL;
-}
-
 /* Every slot of every panel that the job expects or that came; each has a number, and pieces
  * between the slots are the panel's alone. */
 int gsn_poses_list(const struct gsn_specimen *specimen, struct gsn_poses *poses,

@@ -100,9 +100,6 @@ int gsn_poses_marks(const struct gsn_poses *poses, struct gsn_section_marks **re
 unsigned gsn_poses_length(const struct gsn_poses *poses);
 /* "used", "doubtful", "held", "missing", "empty". */
 const char *gsn_section_state_name(enum gsn_section_state state);
-/* The panel of this number that has sections; NULL when there is none. Borrowed. */
-const struct gsn_specimen_panel *gsn_specimen_find_panel(const struct gsn_specimen *specimen,
-                                                         unsigned number);
 
 /* ---- by marks (poses.c) ---- */
 

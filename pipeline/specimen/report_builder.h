@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* From what was measured to what is said: the verdict, the warnings with their evidence, the
- * exclusions with their reasons, the loss against the baseline; then the report's bytes. */
+/* From what was measured to what is said: the warnings with their evidence, the exclusions with
+ * their reasons, the loss against the baseline. process.h puts the parts together. */
 #ifndef GSN_SPECIMEN_REPORT_BUILDER_H
 #define GSN_SPECIMEN_REPORT_BUILDER_H
 
@@ -37,11 +37,6 @@ struct gsn_report_inputs {
  * panels were not levelled, or too little tissue is alike. */
 int gsn_stain_link(const struct gsn_specimen *specimen, const struct gsn_scale *scale,
                    struct gsn_batch_calibration *ret_link, struct gsn_error *err);
-
-/* Fills json, html, measures, definition, dyes, withheld and message of result. borrows: inputs.
- * Fails with GSN_E_NOMEM. */
-int gsn_report_build(const struct gsn_report_inputs *evidence, struct gsn_specimen_result *result,
-                     struct gsn_error *err);
 
 /* ---- the report while it is written: what its parts share (report_*.c) ---- */
 
@@ -92,6 +87,11 @@ struct gsn_builder {
     double loss_by_colour; /* standard error of the loss that it leaves, per cent */
     int out_of_memory;
 };
+
+/* Room for a report of so many. Fails with GSN_E_NOMEM, and then nothing is to be freed. */
+int gsn_builder_init(struct gsn_builder *d, size_t sections, size_t panels, size_t inputs,
+                     size_t decisions, struct gsn_error *err);
+void gsn_builder_done(struct gsn_builder *d);
 
 /* A text that lives as long as the report; "" when memory runs out, which is noted. */
 const char *gsn_builder_say(struct gsn_builder *d, const char *format, ...)

@@ -32,23 +32,6 @@ const char *gsn_builder_tissue_name(unsigned tissue)
     return name[tissue];
 }
 
-const char *gsn_specimen_tissue_measure(unsigned tissue)
-{
-    static const char *const names[GSN_CONTROL_KINDS] = { "tissue_dense", "tissue_loose",
-                                                          "tissue_dentine" };
-
-    return names[tissue];
-}
-
-const char *gsn_specimen_tissues_measure(unsigned tissue, unsigned other)
-{
-    static const char *const names[] = { "tissue_dense_loose", "tissue_dense_dentine",
-                                         "tissue_loose_dentine" };
-
-    _Static_assert((int)GSN_CONTROL_KINDS == 3, "all pairs of three have a name");
-    return names[tissue + other - 1];
-}
-
 /* How much more the stain of two specimens may differ than that of two panels of one. */
 static const double SPECIMENS_OVER_PANELS = 2;
 

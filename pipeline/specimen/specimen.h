@@ -1,13 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The conductor: takes what is known of a specimen through every stage to its report.
+/* What is known of a specimen, and what comes of it: the records that all stages read and that the
+ * conductor (process.h) gives.
  *
- *     sections:  marks -> poses -> density of each panel -> stack -> analysis -> report
- *     volume:    voxels -> analysis -> report
- *     tile:      picture -> dyes -> collagen map -> report
- *
- * It knows no store: the caller brings bytes and rows, and keeps what comes back. The same inputs
- * give the same bytes, whatever the number of threads. */
+ * They know no store: the caller brings bytes and rows, and keeps what comes back. */
 #ifndef GSN_SPECIMEN_SPECIMEN_H
 #define GSN_SPECIMEN_SPECIMEN_H
 
@@ -183,6 +179,10 @@ struct gsn_specimen_result {
     struct gsn_specimen_result *part[GSN_MOST_REGIONS]; /* owned; without files, html and json */
 };
 
+/* The panel of this number that has sections; NULL when there is none. Borrowed. */
+const struct gsn_specimen_panel *gsn_specimen_find_panel(const struct gsn_specimen *specimen,
+                                                         unsigned number);
+
 /* The value of a measure of the result, or NaN; ret_row: or NULL. */
 double gsn_specimen_result_measure(const struct gsn_specimen_result *result, const char *name,
                                    const struct gsn_specimen_measure **ret_row);
@@ -195,11 +195,6 @@ const char *gsn_specimen_tissue_measure(unsigned tissue);
 /* That by which the covariance of two tissues' densities is. */
 const char *gsn_specimen_tissues_measure(unsigned tissue, unsigned other);
 
-/* gives. A specimen whose evidence is too thin has a result too: withheld, with a report that names
- * the evidence and the next action. Fails with GSN_E_NOMEM, GSN_E_IO, GSN_E_PROCESS, GSN_E_FIT. */
-int gsn_specimen_process(const struct gsn_specimen *specimen,
-                         const struct gsn_specimen_options *options,
-                         struct gsn_specimen_result **ret_result, struct gsn_error *err);
 void gsn_specimen_result_free(struct gsn_specimen_result *result);
 GSN_DEFINE_AUTO(gsn_specimen_result);
 

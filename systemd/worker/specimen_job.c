@@ -25,6 +25,7 @@
 #include "pipeline/core/hash.h"
 #include "pipeline/core/mem.h"
 #include "pipeline/decode/apart.h"
+#include "pipeline/specimen/process.h"
 #include "storage/audit_log.h"
 #include "storage/catalog.h"
 #include "storage/panel_log.h"

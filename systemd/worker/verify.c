@@ -28,6 +28,7 @@
 #include <unistd.h>
 
 #include "pipeline/decode/apart.h"
+#include "pipeline/specimen/process.h"
 #include "storage/catalog.h"
 #include "systemd/worker/job.h"
 #include "systemd/worker/job_inputs.h"

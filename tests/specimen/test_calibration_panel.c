@@ -5,6 +5,7 @@
 #include "pipeline/decode/png_write.h"
 #include "pipeline/phantom/calibration.h"
 #include "pipeline/phantom/planning.h"
+#include "pipeline/specimen/process.h"
 #include "pipeline/stain/calibration.h"
 #include "pipeline/stain/normalisation.h"
 #include "tests/check.h"

@@ -5,6 +5,7 @@
 #include "pipeline/specimen/quality_control.h"
 
 #include "pipeline/decode/png_write.h"
+#include "pipeline/specimen/process.h"
 #include "tests/check.h"
 #include "tests/specimen/drawn_specimen.h"
 

@@ -2,7 +2,7 @@
 
 /* What is said of a loss by dye vectors that calibration panels tell, or nobody, from inputs that
  * is stated here. */
-#include "pipeline/specimen/report_builder.h"
+#include "pipeline/specimen/process.h"
 
 #include "pipeline/stain/error_propagation.h"
 #include "pipeline/stain/hue_distribution.h"

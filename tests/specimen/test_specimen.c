@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
-#include "pipeline/specimen/specimen.h"
+#include "pipeline/specimen/process.h"
 
 #include "pipeline/register/fiducial/fiducial.h"
-#include "pipeline/specimen/report_builder.h"
 #include "pipeline/stain/stain_vectors.h"
 #include "tests/check.h"
 #include "tests/specimen/drawn_specimen.h"

@@ -3,6 +3,7 @@
 
 #include "pipeline/core/file.h"
 #include "pipeline/decode/png_write.h"
+#include "pipeline/specimen/process.h"
 #include "pipeline/stain/flat_field.h"
 #include "pipeline/stain/stain_vectors.h"
 #include "tests/check.h"

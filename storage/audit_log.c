@@ -206,17 +206,6 @@ int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, co
     return r < 0 ? r : gsn_event_append_to(store, &tail, now, actor, kind, subject, text, err);
 }
 
-int gsn_event_add(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
-                  const char *subject, const char *text, struct gsn_error *err)
-{
-    int r = gsn_store_begin(store, err);
-
-    if (r < 0)
-        return r;
-    r = gsn_event_append(store, now, actor, kind, subject, text, err);
-    return gsn_sql_end(store, r, err);
-}
-
 int gsn_event_list(struct gsn_store *store, size_t most, struct gsn_event_rows **ret_rows,
                    struct gsn_error *err)
 {

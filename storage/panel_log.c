@@ -1,14 +1,15 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Panels, their sections and marks; and what a file's name says about its panel.
+/* Panels, their sections and marks, and the jobs they ask for; and what a file's name says about
+ * its panel.
  *
  * A panel's sections lie side by side in the table (id = panel * 4096 + slot,
  * schema/006_slices.sql), so that replacing them writes few pages. The number in a name is the last
  * one that is called a panel ("P03", "panel 3"), else the last number at all; the specimen's own
  * digits are skipped by the caller.
  *
- * How it fails: GSN_E_NOTFOUND for a panel that is not there; the rows of one panel change in one
- * transaction. */
+ * How it fails: GSN_E_NOTFOUND for a panel that is not there. What changes several rows is a part
+ * of a transaction that the caller has begun (transaction.h). */
 #include "storage/panel_log.h"
 
 #include <ctype.h>
@@ -169,23 +170,6 @@ int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel,
     return GSN_OK;
 }
 
-int gsn_panel_put(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
-                  int *ret_again, struct gsn_error *err)
-{
-    int64_t id = 0;
-    int again = 0;
-    int r = gsn_store_begin(store, err);
-
-    if (r < 0)
-        return r;
-    r = gsn_sql_end(store, gsn_panel_insert(store, panel, &id, &again, err), err);
-    if (r < 0)
-        return r;
-    *ret_id = id;
-    *ret_again = again;
-    return GSN_OK;
-}
-
 static int no_panel(int64_t id, struct gsn_error *err)
 {
     return gsn_fail(err, GSN_E_NOTFOUND, "there is no panel of number %lld", (long long)id);
@@ -290,16 +274,14 @@ static int insert_section(struct gsn_store *store, int64_t panel_id,
 
 #undef MARK
 
-int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
-                        const struct gsn_section_row *sections, size_t count, struct gsn_error *err)
+int gsn_section_insert_all(struct gsn_store *store, int64_t panel_id,
+                           const struct gsn_section_row *sections, size_t count,
+                           struct gsn_error *err)
 {
     int64_t known = 0;
-    int r = gsn_store_begin(store, err);
+    int r = gsn_sql_int(store, "SELECT id FROM panel WHERE id = ?1", SQL_ARGS(SQL_INT(panel_id)),
+                        &known, err);
 
-    if (r < 0)
-        return r;
-    r = gsn_sql_int(store, "SELECT id FROM panel WHERE id = ?1", SQL_ARGS(SQL_INT(panel_id)),
-                    &known, err);
     if (r == GSN_E_NOTFOUND)
         r = no_panel(panel_id, err);
     if (r >= 0)
@@ -307,7 +289,7 @@ int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
                         SQL_ARGS(SQL_INT(panel_id)), NULL, err);
     for (size_t i = 0; r >= 0 && i < count; i++)
         r = insert_section(store, panel_id, &sections[i], err);
-    return gsn_sql_end(store, r, err);
+    return r;
 }
 
 /* That it has a place tells that it was found. */
@@ -323,4 +305,48 @@ int gsn_section_list(struct gsn_store *store, int64_t specimen_id,
                      "CROSS JOIN section ON " SECTIONS_OF(
                          "panel") "ORDER BY serial = 0, serial, panel_id, slot",
         SQL_ARGS(SQL_INT(specimen_id)), ret_rows, err);
+}
+
+/* The jobs that panels and specimens ask for. */
+
+#define THIS_JOB "WHERE kind = ?3 AND specimen_id = ?1 AND coalesce(panel_id, 0) = ?2 "
+
+/* The job is there: one that runs is done again, one that ended waits anew. */
+static int wake_job(struct gsn_store *store, const struct gsn_sql_args job, int64_t *ret_id,
+                    struct gsn_error *err)
+{
+    int r = gsn_sql_run(store, "UPDATE job SET again = 1 " THIS_JOB "AND state = 'running'", job,
+                        NULL, err);
+
+    if (r >= 0)
+        r = gsn_sql_run(store,
+                        "UPDATE job SET attempts = 0, " FRESH_JOB THIS_JOB
+                        "AND state IN ('done', 'failed')",
+                        job, NULL, err);
+    return r >= 0 ? gsn_sql_int(store, "SELECT id FROM job " THIS_JOB, job, ret_id, err) : r;
+}
+
+int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
+                  struct gsn_error *err)
+{
+    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id),
+                                             SQL_TEXT(panel_id ? "panel" : "specimen"));
+    int64_t inserted = 0;
+    int r = GSN_E_NOTFOUND;
+
+    /* A panel is asked for when it is new, a specimen with each of its panels. */
+    if (panel_id == 0)
+        r = gsn_sql_int(store, "SELECT id FROM job " THIS_JOB "AND state = 'waiting'", job, ret_id,
+                        err);
+    if (r != GSN_E_NOTFOUND)
+        return r;
+    r = gsn_sql_run(store,
+                    "INSERT INTO job (kind, specimen_id, panel_id) VALUES (?3, ?1, nullif(?2, 0)) "
+                    "ON CONFLICT DO NOTHING",
+                    job, &inserted, err);
+    if (r >= 0 && !inserted)
+        return wake_job(store, job, ret_id, err);
+    if (r >= 0)
+        *ret_id = gsn_sql_last_id(store);
+    return r;
 }

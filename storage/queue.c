@@ -38,12 +38,6 @@ struct lease_home {
     char processes[40];             /* the process-id namespace */
 };
 
-/* What a job is like before anybody claims it. claim and owner stay: they are its history. */
-#define FRESH_JOB                                                                                  \
-    "state = 'waiting', again = 0, boot = '', processes = '', pid = 0, pid_start = 0, "            \
-    "lease_s = 0, lease_until = 0, stage = '', done = 0, total = 0, eta_s = NULL, "                \
-    "message = '', code = '' "
-
 #define JOB(type, name)                                                                            \
     {                                                                                              \
         GSN_SQL_##type, offsetof(struct gsn_job_row, name)                                         \
@@ -450,48 +444,6 @@ static int check_panel(struct gsn_store *store, int64_t specimen_id, int64_t pan
     if (r == GSN_E_NOTFOUND)
         return gsn_fail(err, GSN_E_INPUT, "there is no panel %lld of specimen %lld to work on",
                         (long long)panel_id, (long long)specimen_id);
-    return r;
-}
-
-#define THIS_JOB "WHERE kind = ?3 AND specimen_id = ?1 AND coalesce(panel_id, 0) = ?2 "
-
-/* The job is there: one that runs is done again, one that ended waits anew. */
-static int wake_job(struct gsn_store *store, const struct gsn_sql_args job, int64_t *ret_id,
-                    struct gsn_error *err)
-{
-    int r = gsn_sql_run(store, "UPDATE job SET again = 1 " THIS_JOB "AND state = 'running'", job,
-                        NULL, err);
-
-    if (r >= 0)
-        r = gsn_sql_run(store,
-                        "UPDATE job SET attempts = 0, " FRESH_JOB THIS_JOB
-                        "AND state IN ('done', 'failed')",
-                        job, NULL, err);
-    return r >= 0 ? gsn_sql_int(store, "SELECT id FROM job " THIS_JOB, job, ret_id, err) : r;
-}
-
-int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
-                  struct gsn_error *err)
-{
-    const struct gsn_sql_args job = SQL_ARGS(SQL_INT(specimen_id), SQL_INT(panel_id),
-                                             SQL_TEXT(panel_id ? "panel" : "specimen"));
-    int64_t inserted = 0;
-    int r = GSN_E_NOTFOUND;
-
-    /* A panel is asked for when it is new, a specimen with each of its panels. */
-    if (panel_id == 0)
-        r = gsn_sql_int(store, "SELECT id FROM job " THIS_JOB "AND state = 'waiting'", job, ret_id,
-                        err);
-    if (r != GSN_E_NOTFOUND)
-        return r;
-    r = gsn_sql_run(store,
-                    "INSERT INTO job (kind, specimen_id, panel_id) VALUES (?3, ?1, nullif(?2, 0)) "
-                    "ON CONFLICT DO NOTHING",
-                    job, &inserted, err);
-    if (r >= 0 && !inserted)
-        return wake_job(store, job, ret_id, err);
-    if (r >= 0)
-        *ret_id = gsn_sql_last_id(store);
     return r;
 }
 

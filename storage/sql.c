@@ -1,6 +1,9 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* How storage/ speaks to SQLite: one statement with its arguments, run to its end.
+/* The open database: its handle, what it says when it fails, and one statement with its arguments,
+ * run to its end.
+ *
+ * store.c opens, migrates and closes it.
  *
  * Steps. Take a kept statement of this text or compile it; bind ?1, ?2, ...; step; copy the rows
  * into structs as a shape says, texts owned; give the statement back. Compiling costs a scan's rows
@@ -15,6 +18,102 @@
 #include <math.h>
 #include <sqlite3.h>
 #include <string.h>
+
+#include "pipeline/core/hash.h"
+#include "storage/transaction.h"
+
+/* The handle. */
+
+enum { DIGEST_DIGITS = 64 };
+
+struct gsn_kept *gsn_store_kept(struct gsn_store *store)
+{
+    return &store->kept;
+}
+
+struct gsn_staging *gsn_store_staging(struct gsn_store *store)
+{
+    return &store->staging;
+}
+
+int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err)
+{
+    const int r = store->hash ? gsn_hash_again(store->hash, err) : gsn_hash_new(&store->hash, err);
+
+    if (r >= 0)
+        *ret_hash = store->hash;
+    return r;
+}
+
+void gsn_store_log_grew(struct gsn_store *store)
+{
+    store->log_grew = 1;
+}
+
+struct sqlite3 *gsn_store_handle(struct gsn_store *store)
+{
+    return store->db;
+}
+
+const char *gsn_store_dir(const struct gsn_store *store)
+{
+    return store->dir;
+}
+
+int gsn_digest_check(const char *hex, struct gsn_error *err)
+{
+    if (strlen(hex) != DIGEST_DIGITS || strspn(hex, "0123456789abcdef") != DIGEST_DIGITS)
+        return gsn_fail(err, GSN_E_INPUT, "\"%.80s\" is not a SHA-256", hex);
+    return GSN_OK;
+}
+
+int gsn_store_object_path(const struct gsn_store *store, const char *hex, char **ret_path,
+                          struct gsn_error *err)
+{
+    const int r = gsn_digest_check(hex, err);
+    char *path;
+
+    if (r < 0)
+        return r;
+    path = gsn_format("%s/objects/%.2s/%s", gsn_store_dir(store), hex, hex + 2);
+    if (!path)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
+    *ret_path = path;
+    return GSN_OK;
+}
+
+int gsn_sql_code(int sqlite_code)
+{
+    switch (sqlite_code) {
+    case SQLITE_NOMEM:
+        return GSN_E_NOMEM;
+    case SQLITE_BUSY:
+    case SQLITE_LOCKED:
+        return GSN_E_BUSY;
+    case SQLITE_CONSTRAINT:
+        return GSN_E_INPUT;
+    case SQLITE_FULL:
+    case SQLITE_IOERR:
+    case SQLITE_READONLY:
+    case SQLITE_CANTOPEN:
+    case SQLITE_PERM:
+        return GSN_E_IO;
+    default:
+        return GSN_E_STORE;
+    }
+}
+
+int gsn_store_failed(struct gsn_store *store, struct gsn_error *err)
+{
+    /* SQLite's sentence is the one for a database that may only be read. */
+    const char *const why =
+        sqlite3_extended_errcode(store->db) == SQLITE_READONLY_DBMOVED
+            ? "the file was moved, deleted or unmounted while it was open, or cannot be looked at"
+            : sqlite3_errmsg(store->db);
+
+    return gsn_fail(err, gsn_sql_code(sqlite3_errcode(store->db) & 0xff), "%s/gieson.db: %s",
+                    store->dir, why);
+}
 
 /* Kept statements. */
 
@@ -302,12 +401,4 @@ struct gsn_sql_args gsn_sql_fields(const struct gsn_sql_shape *shape, const void
 int64_t gsn_sql_last_id(struct gsn_store *store)
 {
     return sqlite3_last_insert_rowid(gsn_store_handle(store));
-}
-
-int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err)
-{
-    if (r >= 0)
-        return gsn_store_commit(store, err);
-    gsn_store_rollback(store);
-    return r;
 }

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* How storage/ speaks to SQLite: one statement with its arguments, run to its end.
+/* The open database, and how storage/ speaks to it: one statement with its arguments, run to its
+ * end.
  *
  * A shape tells where the columns of a row go in a struct, so reading, writing and freeing rows is
  * written once. Private to this folder. A NaN is written as NULL and NULL is read back as NaN. */
@@ -94,7 +95,8 @@ static inline void gsn_statement_done(sqlite3_stmt **statement)
 /* The id of the row inserted last. */
 int64_t gsn_sql_last_id(struct gsn_store *store);
 
-/* Ends what gsn_store_begin() began: commits when r is no error, else rolls back and returns r. */
+/* Ends what gsn_store_begin() began: commits when r is no error, else rolls back and returns r
+ * (store.c). */
 int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err);
 
 /* For struct gsn_NAME_row with the shape NAME_shape: its frees, and NAME_rows() and NAME_row() that
@@ -141,34 +143,9 @@ int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err);
     }                                                                                              \
     struct gsn_##name##_rows_needs_a_semicolon
 
-/* store.c: the open database, and its last failure as a code and a sentence of ours. */
-struct sqlite3;
-
-struct sqlite3 *gsn_store_handle(struct gsn_store *store);
-
-struct gsn_kept;
-
-struct gsn_kept *gsn_store_kept(struct gsn_store *store);
-
-struct gsn_staging;
-
-struct gsn_staging *gsn_store_staging(struct gsn_store *store);
-
-/* borrows: the store's own hash, with nothing added. */
-struct gsn_hash;
-
-int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err);
-
-/* Told by who appends to the audit log: the commit writes down where it ends. */
-void gsn_store_log_grew(struct gsn_store *store);
-
-int gsn_store_failed(struct gsn_store *store, struct gsn_error *err);
-
 /* Compiled statements, kept for the next time: compiling costs a scan's rows more than writing
  * them. */
 enum { GSN_KEPT_STATEMENTS = 48 };
-
-struct sqlite3_stmt;
 
 /* Those nobody uses now, the one used last at the end. What is done again and again uses its
  * statements in turn: each goes to the end, and the next one comes to lie in its place. */
@@ -177,6 +154,49 @@ struct gsn_kept {
     size_t next; /* where the last one was found */
     struct sqlite3_stmt *at[GSN_KEPT_STATEMENTS];
 };
+
+/* What a handle remembers of the pictures that it put into the staging table itself, so that it
+ * need not look through them for each new one. So many lie there of one handle at most: enough that
+ * committing them adds little to each, few enough that it takes some milliseconds. */
+enum { GSN_STAGING_MAX = 256 };
+
+/* The rows first, first + 1, ... in the order of their tags; those of another handle never lie
+ * between. count 0: nothing is remembered. */
+struct gsn_staging {
+    unsigned uncommitted; /* staged and not committed by this handle */
+    unsigned count;
+    int64_t first;
+    uint64_t tag[GSN_STAGING_MAX];
+};
+
+/* Opened, migrated and closed by store.c. */
+struct gsn_store {
+    char *dir, *head; /* and DIR/audit.head */
+    sqlite3 *db;
+    unsigned depth; /* of nested transactions */
+    struct gsn_staging staging;
+    struct gsn_kept kept;
+    struct gsn_hash *hash; /* NULL until it is needed */
+    int log_grew;          /* in the transaction that is open */
+};
+
+/* The open database, and its last failure as a code and a sentence of ours. */
+struct sqlite3 *gsn_store_handle(struct gsn_store *store);
+
+struct gsn_kept *gsn_store_kept(struct gsn_store *store);
+
+struct gsn_staging *gsn_store_staging(struct gsn_store *store);
+
+/* borrows: the store's own hash, with nothing added. */
+int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err);
+
+/* Told by who appends to the audit log: the commit writes down where it ends. */
+void gsn_store_log_grew(struct gsn_store *store);
+
+int gsn_store_failed(struct gsn_store *store, struct gsn_error *err);
+
+/* Our code for one of SQLite's, which is no extended one. */
+int gsn_sql_code(int sqlite_code);
 
 /* gives: a statement of this text, ready to bind; NULL when none is kept. */
 struct sqlite3_stmt *gsn_kept_take(struct gsn_kept *kept, const char *sql);

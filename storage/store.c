@@ -12,8 +12,9 @@
  * its lock. Runs of a store older than the seals are sealed.
  * 4. What a crash left in the staging table is committed.
  * A transaction nests by savepoints; only the outermost commit reaches the disk. It begins with
- * committing what lies in the staging table (scan.h), and ends by writing down where the audit log
- * ends.
+ * committing what lies in the staging table (ledger.c), and ends by writing down where the audit
+ * log ends (audit.c). So both stand below this file and write by the parts of transaction.h alone;
+ * whoever begins a transaction stands above it.
  *
  * How it fails: each failure of SQLite becomes one of our codes and one sentence
  * (gsn_store_failed); after a disk error SQLite has rolled back by itself, and what follows does
@@ -30,39 +31,16 @@
 #include "pipeline/core/file.h"
 #include "pipeline/core/hash.h"
 #include "storage/audit.h"
+#include "storage/audit_log.h"
 #include "storage/pagesum.h"
+#include "storage/panel_log.h"
 #include "storage/scan.h"
 #include "storage/sql.h"
 #include "storage/transaction.h"
 
-enum {
-    DIGEST_DIGITS = 64,
-    LONGEST_NAME = 150, /* with the digest below the 255 bytes a file system allows */
-};
+enum { LONGEST_NAME = 150 }; /* with the digest below the 255 bytes a file system allows */
 
 /* Paths. */
-
-int gsn_digest_check(const char *hex, struct gsn_error *err)
-{
-    if (strlen(hex) != DIGEST_DIGITS || strspn(hex, "0123456789abcdef") != DIGEST_DIGITS)
-        return gsn_fail(err, GSN_E_INPUT, "\"%.80s\" is not a SHA-256", hex);
-    return GSN_OK;
-}
-
-int gsn_store_object_path(const struct gsn_store *store, const char *hex, char **ret_path,
-                          struct gsn_error *err)
-{
-    const int r = gsn_digest_check(hex, err);
-    char *path;
-
-    if (r < 0)
-        return r;
-    path = gsn_format("%s/objects/%.2s/%s", gsn_store_dir(store), hex, hex + 2);
-    if (!path)
-        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a path");
-    *ret_path = path;
-    return GSN_OK;
-}
 
 static bool is_plain(char c, bool first)
 {
@@ -145,86 +123,7 @@ static const char *const schemas[] = { gsn_schema_001, gsn_schema_002, gsn_schem
 
 enum { NEWEST = sizeof schemas / sizeof schemas[0], SEALED_FROM = 9 };
 
-struct gsn_store {
-    char *dir, *head; /* and DIR/audit.head */
-    sqlite3 *db;
-    unsigned depth; /* of nested transactions */
-    struct gsn_staging staging;
-    struct gsn_kept kept;
-    struct gsn_hash *hash; /* NULL until it is needed */
-    int log_grew;          /* in the transaction that is open */
-};
-
-/* The handle. */
-
-struct gsn_kept *gsn_store_kept(struct gsn_store *store)
-{
-    return &store->kept;
-}
-
-struct gsn_staging *gsn_store_staging(struct gsn_store *store)
-{
-    return &store->staging;
-}
-
-int gsn_store_hash(struct gsn_store *store, struct gsn_hash **ret_hash, struct gsn_error *err)
-{
-    const int r = store->hash ? gsn_hash_again(store->hash, err) : gsn_hash_new(&store->hash, err);
-
-    if (r >= 0)
-        *ret_hash = store->hash;
-    return r;
-}
-
-void gsn_store_log_grew(struct gsn_store *store)
-{
-    store->log_grew = 1;
-}
-
-struct sqlite3 *gsn_store_handle(struct gsn_store *store)
-{
-    return store->db;
-}
-
-const char *gsn_store_dir(const struct gsn_store *store)
-{
-    return store->dir;
-}
-
 /* Transactions. */
-
-static int code_of(int sqlite_code)
-{
-    switch (sqlite_code) {
-    case SQLITE_NOMEM:
-        return GSN_E_NOMEM;
-    case SQLITE_BUSY:
-    case SQLITE_LOCKED:
-        return GSN_E_BUSY;
-    case SQLITE_CONSTRAINT:
-        return GSN_E_INPUT;
-    case SQLITE_FULL:
-    case SQLITE_IOERR:
-    case SQLITE_READONLY:
-    case SQLITE_CANTOPEN:
-    case SQLITE_PERM:
-        return GSN_E_IO;
-    default:
-        return GSN_E_STORE;
-    }
-}
-
-int gsn_store_failed(struct gsn_store *store, struct gsn_error *err)
-{
-    /* SQLite's sentence is the one for a database that may only be read. */
-    const char *const why =
-        sqlite3_extended_errcode(store->db) == SQLITE_READONLY_DBMOVED
-            ? "the file was moved, deleted or unmounted while it was open, or cannot be looked at"
-            : sqlite3_errmsg(store->db);
-
-    return gsn_fail(err, code_of(sqlite3_errcode(store->db) & 0xff), "%s/gieson.db: %s", store->dir,
-                    why);
-}
 
 static int execute_sql(struct gsn_store *store, const char *sql, struct gsn_error *err)
 {
@@ -296,6 +195,70 @@ int gsn_store_commit(struct gsn_store *store, struct gsn_error *err)
         (void)gsn_audit_write_head(store->head, &tail, NULL);
     return r;
 }
+
+int gsn_sql_end(struct gsn_store *store, int r, struct gsn_error *err)
+{
+    if (r >= 0)
+        return gsn_store_commit(store, err);
+    gsn_store_rollback(store);
+    return r;
+}
+
+/* One change as a transaction of its own. */
+
+int gsn_scan_commit_staged(struct gsn_store *store, struct gsn_error *err)
+{
+    bool empty = false;
+    int r = gsn_scan_is_none_staged(store, &empty, err);
+
+    if (r >= 0 && !empty)
+        r = gsn_store_begin(store, err);
+    if (r >= 0 && !empty)
+        r = gsn_sql_end(store, gsn_scan_commit_all_staged(store, err), err);
+    if (r >= 0)
+        gsn_store_staging(store)->uncommitted = gsn_store_staging(store)->count = 0;
+    return r;
+}
+
+int gsn_event_add(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
+                  const char *subject, const char *text, struct gsn_error *err)
+{
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_event_append(store, now, actor, kind, subject, text, err);
+    return gsn_sql_end(store, r, err);
+}
+
+int gsn_panel_put(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
+                  int *ret_again, struct gsn_error *err)
+{
+    int64_t id = 0;
+    int again = 0;
+    int r = gsn_store_begin(store, err);
+
+    if (r < 0)
+        return r;
+    r = gsn_sql_end(store, gsn_panel_insert(store, panel, &id, &again, err), err);
+    if (r < 0)
+        return r;
+    *ret_id = id;
+    *ret_again = again;
+    return GSN_OK;
+}
+
+int gsn_section_replace(struct gsn_store *store, int64_t panel_id,
+                        const struct gsn_section_row *sections, size_t count, struct gsn_error *err)
+{
+    const int r = gsn_store_begin(store, err);
+
+    return r < 0 ? r
+                 : gsn_sql_end(store,
+                               gsn_section_insert_all(store, panel_id, sections, count, err), err);
+}
+
+/* The connection. */
 
 void gsn_store_set_busy_timeout(struct gsn_store *store, int patience_ms)
 {
@@ -574,7 +537,7 @@ int gsn_store_copy(struct gsn_store *store, const char *path, struct gsn_error *
         is = sqlite3_errcode(to);
     }
     if (is != SQLITE_OK || !backup)
-        r = gsn_fail(err, code_of(is), "%s: the database could not be copied: %s", path,
+        r = gsn_fail(err, gsn_sql_code(is), "%s: the database could not be copied: %s", path,
                      to ? sqlite3_errmsg(to) : "out of memory");
     (void)sqlite3_close(to);
     return r;

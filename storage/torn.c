@@ -174,26 +174,3 @@ int gsn_torn_replace(struct gsn_store *store, const struct gsn_panel_row *whole,
         *ret_panel = id;
     return r;
 }
-
-int gsn_torn_forget(struct gsn_store *store, const struct gsn_scan_row *whole,
-                    struct gsn_error *err)
-{
-    gsn_auto(gsn_scan_rows) rows = NULL;
-    int r = gsn_scan_list(store, "unfiled", 0, &rows, err);
-
-    for (size_t i = 0; r >= 0 && i < rows->count; i++) {
-        const struct gsn_scan_row *const scan = &rows->at[i];
-        struct gsn_error quiet = { 0 };
-        int is_torn = 0;
-
-        if (strcmp(scan->source, whole->source) != 0 || strcmp(scan->name, whole->name) != 0 ||
-            strcmp(scan->sha256, whole->sha256) == 0 ||
-            gsn_torn_compare(store, scan->sha256, whole->sha256, &is_torn, &quiet) < 0 || !is_torn)
-            continue;
-        r = gsn_sql_run(store,
-                        "UPDATE scan SET state = 'kept', reason = 'a torn beginning of the picture "
-                        "that came under this name later' WHERE id = ?1",
-                        SQL_ARGS(SQL_INT(scan->id)), NULL, err);
-    }
-    return r;
-}

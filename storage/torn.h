@@ -10,7 +10,6 @@
 #define GSN_STORAGE_TORN_H
 
 #include "storage/panel_log.h"
-#include "storage/scan.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -26,10 +25,6 @@ int gsn_torn_compare(const struct gsn_store *store, const char *torn, const char
  */
 int gsn_torn_replace(struct gsn_store *store, const struct gsn_panel_row *whole, int64_t now,
                      const char *actor, int64_t *ret_panel, struct gsn_error *err);
-/* For a scan that nobody could place: the unfiled ones from the same source, of the same name, that
- * are a torn beginning of it, are kept and wait for nobody any more. In a transaction. */
-int gsn_torn_forget(struct gsn_store *store, const struct gsn_scan_row *whole,
-                    struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -9,10 +9,14 @@
 
 #include "pipeline/core/hash.h"
 
+#include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 struct gsn_store;
 struct gsn_panel_row;
+struct gsn_scan_row;
+struct gsn_section_row;
 
 /* The rows of a panel's sections lie side by side: schema/006_slices.sql. */
 #define SECTIONS_OF(panel) "id BETWEEN " panel " * 4096 AND " panel " * 4096 + 4095 "
@@ -25,9 +29,29 @@ int gsn_digest_check(const char *hex, struct gsn_error *err);
 int gsn_panel_insert(struct gsn_store *store, const struct gsn_panel_row *panel, int64_t *ret_id,
                      int *ret_again, struct gsn_error *err);
 
+/* As gsn_section_replace(). */
+int gsn_section_insert_all(struct gsn_store *store, int64_t panel_id,
+                           const struct gsn_section_row *sections, size_t count,
+                           struct gsn_error *err);
+
+/* What a job is like before anybody claims it. claim and owner stay: they are its history. */
+#define FRESH_JOB                                                                                  \
+    "state = 'waiting', again = 0, boot = '', processes = '', pid = 0, pid_start = 0, "            \
+    "lease_s = 0, lease_until = 0, stage = '', done = 0, total = 0, eta_s = NULL, "                \
+    "message = '', code = '' "
+
 /* As gsn_queue_add(), of a panel that is known to be the specimen's; 0: the specimen's own job. */
 int gsn_queue_ask(struct gsn_store *store, int64_t specimen_id, int64_t panel_id, int64_t *ret_id,
                   struct gsn_error *err);
+
+/* Makes a scan the panel of a specimen and asks for it; the specimen, which rests on it, is to be
+ * asked for next. The same bytes were its panel before: ret_again becomes 1 and nothing is asked.
+ */
+int gsn_scan_put_panel(struct gsn_store *store, const struct gsn_scan_row *scan,
+                       int64_t specimen_id, int64_t number, int64_t *ret_panel, int *ret_again,
+                       struct gsn_error *err);
+
+int gsn_scan_is_none_staged(struct gsn_store *store, bool *ret_none, struct gsn_error *err);
 
 /* Commits what lies in the staging table; for gsn_store_begin(). */
 int gsn_scan_commit_all_staged(struct gsn_store *store, struct gsn_error *err);
@@ -48,19 +72,5 @@ int gsn_event_append_to(struct gsn_store *store, struct gsn_event_tail *tail, in
 /* As gsn_event_add(). */
 int gsn_event_append(struct gsn_store *store, int64_t now, const char *actor, const char *kind,
                      const char *subject, const char *text, struct gsn_error *err);
-
-/* What a handle remembers of the pictures that it put into the staging table itself, so that it
- * need not look through them for each new one. So many lie there of one handle at most: enough that
- * committing them adds little to each, few enough that it takes some milliseconds. */
-enum { GSN_STAGING_MAX = 256 };
-
-/* The rows first, first + 1, ... in the order of their tags; those of another handle never lie
- * between. count 0: nothing is remembered. */
-struct gsn_staging {
-    unsigned uncommitted; /* staged and not committed by this handle */
-    unsigned count;
-    int64_t first;
-    uint64_t tag[GSN_STAGING_MAX];
-};
 
 #endif

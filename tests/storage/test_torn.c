@@ -9,6 +9,7 @@
 #include "storage/audit_log.h"
 #include "storage/catalog.h"
 #include "storage/queue.h"
+#include "storage/scan.h"
 #include "storage/sql.h"
 #include "tests/check.h"
 #include "tests/storage/bench.h"

@@ -74,13 +74,13 @@ class Grabber
   public:
     ~Grabber();
     int open(const char *id, const gsn_camera_settings &wanted, gsn_error *err);
-    int start(gsn_error *err);
-    void stop();
-    int grab(gsn_frame *ret_frame, int *ret_there, gsn_error *err);
-    void release();
-    int read_back(gsn_frame *frame);
+    int start_stream(gsn_error *err);
+    void stop_stream();
+    int take_frame(gsn_frame *ret_frame, int *ret_there, gsn_error *err);
+    void give_frame();
+    int read_frame(gsn_frame *frame);
     unsigned take_damaged();
-    int wait(int timeout_ms, int stop_fd, gsn_error *err);
+    int wait_for_frame(int timeout_ms, int stop_fd, gsn_error *err);
     const char *device() const
     {
         return name.c_str();
@@ -128,7 +128,7 @@ class Grabber
 
 Grabber::~Grabber()
 {
-    stop();
+    stop_stream();
     requests.clear();
     allocator.reset();
     for (const auto &mapping : mappings)
@@ -333,7 +333,7 @@ void Grabber::set_controls(Request *request)
     }
 }
 
-int Grabber::start(gsn_error *err)
+int Grabber::start_stream(gsn_error *err)
 {
     {
         const std::lock_guard<std::mutex> lock(mutex);
@@ -355,7 +355,7 @@ int Grabber::start(gsn_error *err)
     return GSN_OK;
 }
 
-void Grabber::stop()
+void Grabber::stop_stream()
 {
     if (!running)
         return;
@@ -505,7 +505,7 @@ void Grabber::describe(gsn_frame *frame) const
     frame->transfer = gsn_pixel_format_is_raw(settings.format) ? nullptr : "sRGB";
 }
 
-int Grabber::grab(gsn_frame *ret_frame, int *ret_there, gsn_error *err)
+int Grabber::take_frame(gsn_frame *ret_frame, int *ret_there, gsn_error *err)
 {
     for (Request *request = next(); request; request = next()) {
         const FrameBuffer *const buffer = request->buffers().begin()->second;
@@ -518,14 +518,14 @@ int Grabber::grab(gsn_frame *ret_frame, int *ret_there, gsn_error *err)
             return GSN_OK;
         }
         damaged++;
-        release();
+        give_frame();
     }
     const std::lock_guard<std::mutex> lock(mutex);
     *ret_there = 0;
     return disconnected ? gone(err) : GSN_OK;
 }
 
-void Grabber::release()
+void Grabber::give_frame()
 {
     if (!held || !running)
         return;
@@ -555,7 +555,7 @@ std::string why_unlocked(const Locked &one)
     return "";
 }
 
-int Grabber::read_back(gsn_frame *frame)
+int Grabber::read_frame(gsn_frame *frame)
 {
     const size_t count = gsn_pixel_format_is_raw(settings.format) ? 2 : control_count;
 
@@ -584,7 +584,7 @@ unsigned Grabber::take_damaged()
     return count;
 }
 
-int Grabber::wait(int timeout_ms, int stop_fd, gsn_error *err)
+int Grabber::wait_for_frame(int timeout_ms, int stop_fd, gsn_error *err)
 {
     pollfd on[2] = { { event_fd, POLLIN, 0 }, { stop_fd, POLLIN, 0 } };
     uint64_t count = 0;
@@ -611,35 +611,35 @@ int failed(gsn_error *err)
 
 int start_grabber(void *self, gsn_error *err)
 try {
-    return static_cast<Grabber *>(self)->start(err);
+    return static_cast<Grabber *>(self)->start_stream(err);
 } catch (...) {
     return failed(err);
 }
 
 void stop_grabber(void *self)
 try {
-    static_cast<Grabber *>(self)->stop();
+    static_cast<Grabber *>(self)->stop_stream();
 } catch (...) {
     (void)failed(nullptr);
 }
 
 int grab_frame(void *self, gsn_frame *ret_frame, int *ret_there, gsn_error *err)
 try {
-    return static_cast<Grabber *>(self)->grab(ret_frame, ret_there, err);
+    return static_cast<Grabber *>(self)->take_frame(ret_frame, ret_there, err);
 } catch (...) {
     return failed(err);
 }
 
 void release_frame(void *self)
 try {
-    static_cast<Grabber *>(self)->release();
+    static_cast<Grabber *>(self)->give_frame();
 } catch (...) {
     (void)failed(nullptr);
 }
 
 int read_controls(void *self, gsn_frame *frame, gsn_error *err)
 try {
-    return static_cast<Grabber *>(self)->read_back(frame);
+    return static_cast<Grabber *>(self)->read_frame(frame);
 } catch (...) {
     return failed(err);
 }
@@ -651,7 +651,7 @@ unsigned count_damaged(void *self)
 
 int wait_for_frame(void *self, int timeout_ms, int stop_fd, gsn_error *err)
 try {
-    return static_cast<Grabber *>(self)->wait(timeout_ms, stop_fd, err);
+    return static_cast<Grabber *>(self)->wait_for_frame(timeout_ms, stop_fd, err);
 } catch (...) {
     return failed(err);
 }

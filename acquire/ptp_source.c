@@ -419,8 +419,9 @@ static void ptp_close(void *self)
     gsn_free(source);
 }
 
-int gsn_ptp_source_new(const struct gsn_ptp_opener *opener, const struct gsn_source_options *options,
-                       void **ret_self, struct gsn_error *err)
+int gsn_ptp_source_new(const struct gsn_ptp_opener *opener,
+                       const struct gsn_source_options *options, void **ret_self,
+                       struct gsn_error *err)
 {
     struct gsn_ptp_source *const source = gsn_alloc_array(1, sizeof *source);
     int r;

@@ -37,8 +37,9 @@ struct gsn_ptp_opener {
 };
 
 /* gives: what gsn_ptp_source_ops.close() releases. */
-int gsn_ptp_source_new(const struct gsn_ptp_opener *opener, const struct gsn_source_options *options,
-                       void **ret_self, struct gsn_error *err);
+int gsn_ptp_source_new(const struct gsn_ptp_opener *opener,
+                       const struct gsn_source_options *options, void **ret_self,
+                       struct gsn_error *err);
 
 #ifdef __cplusplus
 }

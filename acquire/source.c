@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What all kinds of source share: the one function through which every call of a kind passes, events,
- * names.
+/* What all kinds of source share: the one function through which every call of a kind passes,
+ * events, names.
  *
  * A source is made of a kind's operations and its own state; its calls are handed on. Each piece
  * that was read is reported to on_read, the sign of life of whoever watches

@@ -69,7 +69,8 @@ static int check_pdf(struct gsn_store *store, const struct gsn_run_row *run, con
     size_t i;
     int r = GSN_OK;
 
-    json_array_foreach (outputs, i, output) {
+    json_array_foreach(outputs, i, output)
+    {
         const char *name = json_string_value(json_object_get(output, "name"));
         const char *sha256 = json_string_value(json_object_get(output, "sha256"));
 
@@ -102,8 +103,8 @@ static void print_region(const json_t *region)
     if (json_is_number(loss))
         (void)snprintf(said, sizeof said, "loss %.1f %%%s", json_number_value(loss), range);
     if (json_is_number(json_object_get(region, "mean_density")))
-        gsn_text_line(stdout, "region %s: %s, mean density %.3f, %.4g mm3%s%s", name ? name : "", said,
-                      json_number_value(json_object_get(region, "mean_density")),
+        gsn_text_line(stdout, "region %s: %s, mean density %.3f, %.4g mm3%s%s", name ? name : "",
+                      said, json_number_value(json_object_get(region, "mean_density")),
                       json_number_value(json_object_get(region, "volume_mm3")), why ? "; " : "",
                       why ? why : "");
     else
@@ -357,12 +358,12 @@ static json_t *trace_baseline(struct gsn_store *store, const struct gsn_specimen
 /* "2.1": as every other sheet counts. */
 static char *section_place(const json_t *section)
 {
-    return gsn_format("%lld.%lld",
-                      (long long)json_integer_value(json_object_get(section, "panel")),
+    return gsn_format("%lld.%lld", (long long)json_integer_value(json_object_get(section, "panel")),
                       (long long)json_integer_value(json_object_get(section, "slot")) + 1);
 }
 
-/* gives: the sections that were not used, each with its state and flags; *ret_used counts the rest. */
+/* gives: the sections that were not used, each with its state and flags; *ret_used counts the
+ * rest. */
 static json_t *trace_sections(const json_t *report, size_t *ret_used, size_t *ret_count)
 {
     const json_t *section;
@@ -381,9 +382,9 @@ static json_t *trace_sections(const json_t *report, size_t *ret_used, size_t *re
         if (strcmp(state, "used") == 0)
             (*ret_used)++;
         else
-            (void)json_array_append_new(
-                left, json_pack("{s:s, s:s, s:O?}", "section", place, "state", state, "flags",
-                                json_object_get(section, "flags")));
+            (void)json_array_append_new(left, json_pack("{s:s, s:s, s:O?}", "section", place,
+                                                        "state", state, "flags",
+                                                        json_object_get(section, "flags")));
     }
     return left;
 }
@@ -409,10 +410,10 @@ static json_t *trace_specimen(struct gsn_store *store, const struct gsn_specimen
         json_object_get(report, "zero_density"), "baseline_mean_density",
         json_object_get(report, "baseline_mean_density"), "region",
         json_object_get(report, "region"), "baseline", trace_baseline(store, specimen, err),
-        "sections", (json_int_t)count, "sections_used", (json_int_t)used, "not_used", left, "panels",
-        json_object_get(report, "panels"), "decisions", json_object_get(report, "decisions"),
-        "inputs", json_object_get(provenance, "inputs"), "outputs",
-        json_object_get(provenance, "outputs"), "compared_with_run",
+        "sections", (json_int_t)count, "sections_used", (json_int_t)used, "not_used", left,
+        "panels", json_object_get(report, "panels"), "decisions",
+        json_object_get(report, "decisions"), "inputs", json_object_get(provenance, "inputs"),
+        "outputs", json_object_get(provenance, "outputs"), "compared_with_run",
         before->run ? json_integer((json_int_t)before->run->id) : json_null(), "changes",
         before->report ? compare_reports(before->report, report) : json_array());
 }
@@ -462,8 +463,9 @@ static void say_figure(const struct gsn_ui *ui, const json_t *trace, const struc
     else if (isfinite(mean))
         gsn_ui_say(ui, "  mean density of the region %.4f", mean);
     if (isfinite(number_of(region, "volume_mm3")))
-        gsn_ui_say(ui, "  region %s: %.4g mm3, %.0f %% of it with data", text_of(region, "description"),
-                   number_of(region, "volume_mm3"), 100 * number_of(region, "coverage"));
+        gsn_ui_say(ui, "  region %s: %.4g mm3, %.0f %% of it with data",
+                   text_of(region, "description"), number_of(region, "volume_mm3"),
+                   100 * number_of(region, "coverage"));
 }
 
 static void say_baseline(const struct gsn_ui *ui, const json_t *trace)
@@ -581,8 +583,8 @@ static int trace_study(const struct gsn_ui *ui, struct gsn_store *store, const c
                        run->json_sha256, row->name);
     }
     if (ui->json)
-        gsn_ui_print_json(ui, json_pack("{s:o, s:O}", "study", gsn_text_json(study), "specimens",
-                                        list));
+        gsn_ui_print_json(
+            ui, json_pack("{s:o, s:O}", "study", gsn_text_json(study), "specimens", list));
     json_decref(list);
     return GSN_OK;
 }

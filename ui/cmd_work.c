@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* The verbs that other programs do: import, verify, scrub, backup, restore, check, register, study,
- * plan, index, export, render, probe, line and integral are gieson-work's, phantom has a program of its
- * own, and the configuration is the service's. */
+ * plan, index, export, render, probe, line and integral are gieson-work's, phantom has a program of
+ * its own, and the configuration is the service's. */
 #include <string.h>
 
 #include "ui/ui.h"
@@ -90,14 +90,13 @@ int gsn_cmd_index(const struct gsn_ui *ui, int argc, char **argv)
     return pass_on(ui, "gieson-work", 1, argc, argv, 0);
 }
 
-/* `export`, `render`, `probe`, `line` and `integral`: options go first, then everything else behind "--",
- * since a coordinate may be negative. */
+/* `export`, `render`, `probe`, `line` and `integral`: options go first, then everything else behind
+ * "--", since a coordinate may be negative. */
 int gsn_cmd_model(const struct gsn_ui *ui, int argc, char **argv)
 {
     static const char *const valued[] = {
-        "--level", "--step",    "--box",  "--plane", "--points",
-        "--threads", "--surface", "--view", "--size",  "--window",
-        "--cells",
+        "--level",   "--step", "--box",  "--plane",  "--points", "--threads",
+        "--surface", "--view", "--size", "--window", "--cells",
     };
     gsn_auto_mem(const char *) args = gsn_alloc_array((size_t)argc + 2, sizeof *args);
     size_t n = 0;

@@ -62,7 +62,8 @@ static const struct gsn_help pages[] = {
       "Where its latest report is: the page, its JSON, its PDF; with --json the report itself.", "",
       "gieson report R07-left\ngieson report R07-left --json | jq .loss_percent" },
     { "trace", "SPECIMEN | STUDY",
-      "What a figure rests on: how it is computed, the baseline's runs, the sections that were not\n"
+      "What a figure rests on: how it is computed, the baseline's runs, the sections that were "
+      "not\n"
       "used and why, every file with its hash, what people decided; and each parameter, file and\n"
       "figure in which it differs from the run before. Of a study: its animals and their runs.",
       "", "gieson trace R07-left" },
@@ -103,18 +104,22 @@ static const struct gsn_help pages[] = {
       "                   drawn on them\n"
       "Surfaces and volumes end where the region ends. A file that exists is not written over.",
       "  --level V            of a surface\n"
-      "  --step UM            size of a volume's voxels; of the cells a surface is made in, at most\n                       (default: triangles within a tenth of a voxel)\n"
+      "  --step UM            size of a volume's voxels; of the cells a surface is made in, at "
+      "most\n                       (default: triangles within a tenth of a voxel)\n"
       "  --whole              beyond the region too, as far as the model goes\n",
       "gieson export R07-left R07-left.stl --level 0.5\n"
       "gieson export R07-left R07-left.nrrd --step 12" },
     { "render", "SPECIMEN... FILE.png",
-      "A picture of the model of its last run, by rays through the spline itself: the X-ray of the\n"
-      "region, unless an option says another. It ends where the region ends. Up to eight specimens\n"
+      "A picture of the model of its last run, by rays through the spline itself: the X-ray of "
+      "the\n"
+      "region, unless an option says another. It ends where the region ends. Up to eight "
+      "specimens\n"
       "stand side by side, on one scale. A file that exists is not written over.",
       "  --translucent        emission and absorption, in the colours of the density\n"
       "  --surface V          where the density is V; cuts show the density\n"
       "  --true-colour        these two in the colours of the sections\n"
-      "  --cells PERCENT      the model's cells apart, of that size, in the colours of their means\n"
+      "  --cells PERCENT      the model's cells apart, of that size, in the colours of their "
+      "means\n"
       "  --window LOW,HIGH    densities of the colour scale, transparent to full\n"
       "                       (default: 0 to the greatest mean of a cell)\n"
       "  --view X,Y,Z         direction of the eye into the block; or x, y, z, corner (default)\n"

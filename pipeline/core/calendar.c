@@ -31,7 +31,8 @@ static int read_digits(const char *text, int from, int to)
 int gsn_calendar_day(const char *text, long *ret_day, struct gsn_error *err)
 {
     const int whole = strlen(text) == 10 && text[4] == '-' && text[7] == '-';
-    const int year = whole ? read_digits(text, 0, 4) : -1, month = whole ? read_digits(text, 5, 7) : -1;
+    const int year = whole ? read_digits(text, 0, 4) : -1,
+              month = whole ? read_digits(text, 5, 7) : -1;
     const int day = whole ? read_digits(text, 8, 10) : -1;
     long days;
 

@@ -3,11 +3,12 @@
 /* The exact Euclidean distance transform of a box of voxels, axis by axis (Felzenszwalb and
  * Huttenlocher 2012): scan a line, keep the lower envelope of the parabolas, read it off.
  *
- * cv::distanceTransform() is the same method and gives the same sets (test_morphology.c, 200 cases),
- * but of planes with square pixels alone, and the square root of the sum as float. Bands at a distance
- * from a surface are of blocks, whose sections lie further apart than their pixels; so this one stays,
- * and pictures take OpenCV's by pipeline/imaging/morphology.h. Planes and rows go to threads; 32 bytes
- * of scratch for each voxel of the longest line and thread. Fails only without memory. */
+ * cv::distanceTransform() is the same method and gives the same sets (test_morphology.c, 200
+ * cases), but of planes with square pixels alone, and the square root of the sum as float. Bands at
+ * a distance from a surface are of blocks, whose sections lie further apart than their pixels; so
+ * this one stays, and pictures take OpenCV's by pipeline/imaging/morphology.h. Planes and rows go
+ * to threads; 32 bytes of scratch for each voxel of the longest line and thread. Fails only without
+ * memory. */
 #include "pipeline/core/distance.h"
 
 #include "pipeline/core/mem.h"

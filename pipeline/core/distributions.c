@@ -5,9 +5,10 @@
  *
  * Not taken from GSL is the quantile of Fisher's F: gsl_cdf_fdist_Qinv() gives NaN, or with GSL's
  * own handler ends the process, from 400 degrees of freedom on (3 274 of 12 354 pairs of freedom up
- * to 1e8 and probability down to 1e-9). Its tail is right (against R 4.2 within 1e-9 up to
- * 1e4 degrees of freedom, 3e-4 at 5e5), so the limit is found by halving an interval of that. A known variance is chi-squared, where GSL's inverse is right for the
- * few degrees of freedom asked for here.
+ * to 1e8 and probability down to 1e-9). Its tail is right (against R 4.2 within 1e-9 up to 1e4
+ * degrees of freedom, 3e-4 at 5e5), so the limit is found by halving an interval of that. A known
+ * variance is chi-squared, where GSL's inverse is right for the few degrees of freedom asked for
+ * here.
  *
  * Arguments outside of what the header allows are a caller's mistake; inside nothing fails. */
 #include "pipeline/core/distributions.h"

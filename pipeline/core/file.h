@@ -28,8 +28,8 @@ int gsn_file_write(const char *path, const void *bytes, size_t size, struct gsn_
  * (a directory, a device) is for the caller to check. Fails with GSN_E_NOTFOUND, GSN_E_IO. */
 int gsn_file_open(const char *path, int *ret_fd, struct gsn_error *err);
 
-/* A regular file in a folder that others write to, and never one outside of it: no part of name is a
- * link or "..". This is the way in for everything that lies in a scan folder. gives: a descriptor
+/* A regular file in a folder that others write to, and never one outside of it: no part of name is
+ * a link or "..". This is the way in for everything that lies in a scan folder. gives: a descriptor
  * to close().
  *
  * Fails with GSN_E_NOTFOUND; GSN_E_INPUT for what is refused as it is (a link, a directory, a

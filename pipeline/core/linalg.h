@@ -36,7 +36,8 @@ int gsn_solve_general(double *a, size_t n, size_t stride, double *b, size_t colu
                       size_t b_stride);
 
 /* A symmetric positive definite matrix of which only the diagonal and the `wide` - 1 below it are
- * not zero. band: n rows of `wide`; band[j * wide + k] is the matrix's (j + k, j), k < wide <= n. */
+ * not zero. band: n rows of `wide`; band[j * wide + k] is the matrix's (j + k, j), k < wide <=
+ * n. */
 int gsn_band_cholesky(double *band, size_t n, size_t wide);
 /* x is the right side before. */
 void gsn_band_solve(const double *factor, size_t n, size_t wide, double *x);

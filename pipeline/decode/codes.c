@@ -55,8 +55,8 @@ static int is_given_up(const struct code_page *page)
     return gsn_process_cpu_ms() >= page->until_cpu_ms;
 }
 
-/* The library knows the clock on the wall alone, so it searches for a slice of time, and then goes on
- * where it stopped. */
+/* The library knows the clock on the wall alone, so it searches for a slice of time, and then goes
+ * on where it stopped. */
 static DmtxRegion *find_region(DmtxDecode *decoder, const struct code_page *page)
 {
     DmtxRegion *region = NULL;
@@ -383,8 +383,8 @@ static int read_areas(const struct code_page *page, struct gsn_picture *picture,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory while reading codes");
     blocks.print = print;
     find_print(page, &blocks);
-    for (uint32_t i = 0; i < blocks.width * blocks.height && areas < MOST_AREAS && r >= 0 &&
-                         !is_given_up(page);
+    for (uint32_t i = 0;
+         i < blocks.width * blocks.height && areas < MOST_AREAS && r >= 0 && !is_given_up(page);
          i++) {
         struct area area;
 

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* Method: the mesh is in Morton order, so neighbours in a column differ little; differences, sorted
- * by bytes, are what deflate packs well (RFC 1950, 1951). Where that is still too much, vertices are
- * clustered on a lattice (J. Rossignac, P. Borrel, "Multi-resolution 3D approximations for rendering
- * complex scenes", 1993): the first vertex of a lattice cell stands for all, tetrahedra that fold or
- * turn over go, and the lattice grows until the rest fits.
+ * by bytes, are what deflate packs well (RFC 1950, 1951). Where that is still too much, vertices
+ * are clustered on a lattice (J. Rossignac, P. Borrel, "Multi-resolution 3D approximations for
+ * rendering complex scenes", 1993): the first vertex of a lattice cell stands for all, tetrahedra
+ * that fold or turn over go, and the lattice grows until the rest fits.
  *
  * Steps: (1) cells with tissue; (2) their vertices and edges, numbered as they come; (3) the spline
  * at both; (4) what is said of each cell, as whole numbers; (5) pack; (6) cluster and again.
@@ -28,9 +28,9 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "numbers are written as they lie");
 
 enum {
-    PLACES = 65535,      /* along an axis */
-    HEIGHTS = 4095,      /* between the least and the largest value at a node */
-    FIGURES = 20000,     /* that the range of values has at least, in units of the last digit */
+    PLACES = 65535,        /* along an axis */
+    HEIGHTS = 4095,        /* between the least and the largest value at a node */
+    FIGURES = 20000,       /* that the range of values has at least, in units of the last digit */
     VOLUME_FIGURES = 1000, /* that a middling volume has at least */
     UNKNOWN = INT32_MIN,
     ZLIB_LEVEL = 9
@@ -49,13 +49,13 @@ struct fact {
 /* One level: its cells, by their numbers in the model, and its nodes. */
 struct level {
     size_t vertices, edges, cells;
-    uint32_t *cell;         /* number in the model */
-    uint32_t (*corner)[4];  /* of 0..vertices-1, in the order of the model's tetrahedron */
-    uint32_t *vertex;       /* number in the model of each vertex */
-    uint32_t (*edge)[2];    /* its ends */
-    uint32_t *home;         /* of each vertex, then each edge: a tetrahedron of the model */
-    double *value;          /* of each vertex, then each edge */
-    double *inward;         /* likewise, distance from the border of the region */
+    uint32_t *cell;        /* number in the model */
+    uint32_t (*corner)[4]; /* of 0..vertices-1, in the order of the model's tetrahedron */
+    uint32_t *vertex;      /* number in the model of each vertex */
+    uint32_t (*edge)[2];   /* its ends */
+    uint32_t *home;        /* of each vertex, then each edge: a tetrahedron of the model */
+    double *value;         /* of each vertex, then each edge */
+    double *inward;        /* likewise, distance from the border of the region */
 };
 
 struct packing {
@@ -295,10 +295,9 @@ static void place_node(const struct packing *p, size_t node, double ret_at[3])
         if (node < level->vertices)
             ret_at[c] = mesh->vertex[level->vertex[node]][c];
         else
-            ret_at[c] =
-                (mesh->vertex[level->vertex[level->edge[node - level->vertices][0]]][c] +
-                 mesh->vertex[level->vertex[level->edge[node - level->vertices][1]]][c]) /
-                2;
+            ret_at[c] = (mesh->vertex[level->vertex[level->edge[node - level->vertices][0]]][c] +
+                         mesh->vertex[level->vertex[level->edge[node - level->vertices][1]]][c]) /
+                        2;
         for (int k = 0; k < 4; k++)
             middle += mesh->vertex[tet[k]][c] / 4;
         ret_at[c] += INWARD * (middle - ret_at[c]);
@@ -458,8 +457,7 @@ static int find_scales(const struct packing *p, struct scales *ret, struct gsn_e
         volume[i] = p->fact[level->cell[i]].volume;
     qsort(volume, level->cells, sizeof *volume, by_size);
     ret->digits = choose_digits(p->options->high - p->options->low, FIGURES / 2);
-    ret->volume_digits =
-        choose_digits(level->cells ? volume[level->cells / 2] : 1, VOLUME_FIGURES);
+    ret->volume_digits = choose_digits(level->cells ? volume[level->cells / 2] : 1, VOLUME_FIGURES);
     ret->unit = pow(10, ret->digits);
     ret->volume_unit = pow(10, ret->volume_digits);
     return GSN_OK;
@@ -597,8 +595,8 @@ static int write_level(struct packing *p, struct gsn_error *err)
         r = put_head(p, &scales, err);
     for (int c = 0; c < 3 && r >= 0; c++) {
         for (size_t v = 0; v < level->vertices; v++)
-            item[v] = whole_of(rint((p->mesh->vertex[level->vertex[v]][c] - scales.origin[c]) /
-                                    scales.step[c]));
+            item[v] = whole_of(
+                rint((p->mesh->vertex[level->vertex[v]][c] - scales.origin[c]) / scales.step[c]));
         r = put_column(p, item, level->vertices, err);
     }
     for (int k = 0; k < 4 && r >= 0; k++) {
@@ -625,7 +623,8 @@ static int pack_level(const struct packing *p, struct gsn_page_model *model, str
 
     gsn_free(model->bytes);
     model->bytes = gsn_alloc(size);
-    if (!model->bytes || compress2(model->bytes, &size, p->plain, (uLong)p->size, ZLIB_LEVEL) != Z_OK)
+    if (!model->bytes ||
+        compress2(model->bytes, &size, p->plain, (uLong)p->size, ZLIB_LEVEL) != Z_OK)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a page's model");
     model->size = size;
     model->cells = p->level.cells;

@@ -17,8 +17,8 @@
  *     C   density            times 10^digits, to the nearest; and the same of
  *     C   lower, upper       certified bounds of s in the cell, rounded outward
  *     C   residual           rms of its samples
- *     C   below, above       s lies between l - below and l + above, l being linear between s at the
- *                            corners as given here; rounded outward
+ *     C   below, above       s lies between l - below and l + above, l being linear between s at
+ *                            the corners as given here; rounded outward
  *     C   samples
  *     C   share              of its volume in the region, times 1000
  *     C   volume             um^3 times 10^(digits of volumes)
@@ -52,8 +52,8 @@ struct gsn_page_options {
 struct gsn_page_model {
     uint8_t *bytes; /* owned */
     size_t size;
-    size_t cells;   /* that are in it */
-    size_t of;      /* that the model has with tissue of the region */
+    size_t cells;    /* that are in it */
+    size_t of;       /* that the model has with tissue of the region */
     double apart_um; /* 0: all are; else corners nearer than this were drawn together, cells that
                         lost their volume by it are left out, and the others fill the room */
 };

@@ -167,7 +167,8 @@ static uint8_t *put_chunk(uint8_t *at, uint32_t size, const char kind[4])
 int gsn_glb_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t *ret_size,
                   struct gsn_error *err)
 {
-    const size_t binary = 2 * GLB_VERTEX * surface->vertex_count + GLB_FACE * surface->triangle_count;
+    const size_t binary =
+        2 * GLB_VERTEX * surface->vertex_count + GLB_FACE * surface->triangle_count;
     gsn_auto_mem(char) text = NULL;
     double low[3], high[3], middle[3];
     float half[3];

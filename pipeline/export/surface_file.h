@@ -12,9 +12,9 @@ extern "C" {
 #endif
 
 /* give: the bytes. STL: binary, three corners a triangle in single precision, its normal by the
- * right hand. PLY 1.0: binary, little-endian, coordinates in double precision. GLB: glTF 2.0 in one file,
- * single precision from the middle of the surface, where a node puts it, scaled to metres. Fail with
- * GSN_E_NOMEM, and with GSN_E_LIMIT when there are more than 2^31 - 1 triangles. */
+ * right hand. PLY 1.0: binary, little-endian, coordinates in double precision. GLB: glTF 2.0 in one
+ * file, single precision from the middle of the surface, where a node puts it, scaled to metres.
+ * Fail with GSN_E_NOMEM, and with GSN_E_LIMIT when there are more than 2^31 - 1 triangles. */
 int gsn_stl_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t *ret_size,
                   struct gsn_error *err);
 int gsn_ply_write(const struct gsn_trimesh *surface, uint8_t **ret_bytes, size_t *ret_size,

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* cv::boxFilter adds up in double precision (running sums, Crow 1984), with zeros beyond the border;
- * for a mean each sum is then divided by the number of pixels that there are. Halving is cv::resize
- * by area. */
+/* cv::boxFilter adds up in double precision (running sums, Crow 1984), with zeros beyond the
+ * border; for a mean each sum is then divided by the number of pixels that there are. Halving is
+ * cv::resize by area. */
 #include "pipeline/imaging/filter.h"
 
 #include <algorithm>
@@ -50,8 +50,7 @@ int gsn_median_3(uint8_t *bytes, uint32_t width, uint32_t height, struct gsn_err
     });
 }
 
-int gsn_halve(const float *from, uint32_t width, uint32_t height, float *to,
-              struct gsn_error *err)
+int gsn_halve(const float *from, uint32_t width, uint32_t height, float *to, struct gsn_error *err)
 {
     return gsn::guarded(err, [&] {
         const int w = static_cast<int>(width / 2), h = static_cast<int>(height / 2);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* cv::dft: mixed radix 2, 3, 4, 5 and a plain sum for other factors (Cooley and Tukey 1965), rows and
- * then columns, in single precision. */
+/* cv::dft: mixed radix 2, 3, 4, 5 and a plain sum for other factors (Cooley and Tukey 1965), rows
+ * and then columns, in single precision. */
 #include "pipeline/imaging/fourier.h"
 
 #include "pipeline/imaging/opencv.hpp"

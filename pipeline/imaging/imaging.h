@@ -14,8 +14,8 @@ extern "C" {
 #endif
 
 /* Makes OpenCV quiet and single-threaded, in the whole process (we are parallel over sections), and
- * runs it once, so that what it reads from disk is read: who enters a sandbox calls this before. All
- * functions of this folder do so by themselves; again costs nothing. */
+ * runs it once, so that what it reads from disk is read: who enters a sandbox calls this before.
+ * All functions of this folder do so by themselves; again costs nothing. */
 void gsn_imaging_open(void);
 
 /* The version of OpenCV that runs, as "4.6.0": pixels depend on it. borrows. */

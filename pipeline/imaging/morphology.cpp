@@ -1,11 +1,12 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Binary morphology (Serra 1982) with a disc of a real radius: what lies within the radius of a set,
- * centre to centre. A small disc is a structuring element for cv::dilate and cv::erode; beyond WIDE
- * pixels, where going over all of the disc costs more, the exact distance (cv::distanceTransform,
- * Felzenszwalb and Huttenlocher 2012) is compared with the radius. Both give the same pixels. A signed
- * distance is that of a set less that of what is not in it, half a pixel nearer each. Holes
- * are filled by cv::floodFill from a frame around the set (cv::copyMakeBorder). */
+/* Binary morphology (Serra 1982) with a disc of a real radius: what lies within the radius of a
+ * set, centre to centre. A small disc is a structuring element for cv::dilate and cv::erode; beyond
+ * WIDE pixels, where going over all of the disc costs more, the exact distance
+ * (cv::distanceTransform, Felzenszwalb and Huttenlocher 2012) is compared with the radius. Both
+ * give the same pixels. A signed distance is that of a set less that of what is not in it, half a
+ * pixel nearer each. Holes are filled by cv::floodFill from a frame around the set
+ * (cv::copyMakeBorder). */
 #include "pipeline/imaging/morphology.h"
 
 #include <cmath>
@@ -37,8 +38,7 @@ static cv::Mat distance_to_zero(const cv::Mat &set)
     return distance;
 }
 
-int gsn_dilate(uint8_t *set, uint32_t width, uint32_t height, double radius,
-               struct gsn_error *err)
+int gsn_dilate(uint8_t *set, uint32_t width, uint32_t height, double radius, struct gsn_error *err)
 {
     return gsn::guarded(err, [&] {
         cv::Mat all = gsn::over(set, width, height, CV_8U);

@@ -30,8 +30,8 @@ int gsn_fill_holes(uint8_t *set, uint32_t width, uint32_t height, int neighbours
                    struct gsn_error *err);
 
 /* How far each pixel's centre is from the outline of a set that is not empty, in pixels: above 0 in
- * it, below 0 outside. The outline is taken to lie half a pixel beyond the outermost centres; beyond
- * the border lies nothing of the set. to: width * height numbers. */
+ * it, below 0 outside. The outline is taken to lie half a pixel beyond the outermost centres;
+ * beyond the border lies nothing of the set. to: width * height numbers. */
 int gsn_signed_distance(const uint8_t *set, uint32_t width, uint32_t height, float *to,
                         struct gsn_error *err);
 

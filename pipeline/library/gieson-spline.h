@@ -253,8 +253,8 @@ int gsn_field_load(const char *path, struct gsn_field **ret_field, struct gsn_er
 int gsn_field_write_cells(const struct gsn_field *field, const char *path, struct gsn_error *err);
 /* The surface {s = level} in triangles: .stl or .ply. Tetrahedra are split where the surface passes
  * them until no triangle lies farther from it than error, estimated from normals and in the unit of
- * coordinates; 0: a hundredth of the mean edge. GSN_E_INPUT when s crosses the level nowhere, or error
- * is negative. */
+ * coordinates; 0: a hundredth of the mean edge. GSN_E_INPUT when s crosses the level nowhere, or
+ * error is negative. */
 int gsn_field_write_surface(const struct gsn_field *field, double level, double error,
                             const char *path, struct gsn_error *err);
 /* The values of gsn_field_on_grid(), in single precision: .nrrd, .nii or .nii.gz. */

@@ -419,7 +419,8 @@ int gsn_field_save(const struct gsn_field *field, const char *name, const char *
                                            .version = GSN_VERSION };
     gsn_auto_mem(uint8_t) bytes = NULL;
     size_t size = 0;
-    const int r = gsn_model_file_write(field->spline, NULL, &cells, NULL, &notes, &bytes, &size, err);
+    const int r =
+        gsn_model_file_write(field->spline, NULL, &cells, NULL, &notes, &bytes, &size, err);
 
     return r < 0 ? r : gsn_file_write(path, bytes, size, err);
 }

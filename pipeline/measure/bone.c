@@ -5,15 +5,16 @@
  * 1. Voxels above the threshold are bone; those of them in the region are counted (BV), as are the
  *    region's voxels with data (TV).
  * 2. Surface: the level between the centres of eight voxels, cut in six tetrahedra, in each of
- *    which the field is linear (marching tetrahedra; Doi and Koide 1991). Cells whose middle lies in
- *    the region count.
- * 3. Thickness: the distance to the nearest voxel that is no bone (core/distance.h) tells the widest
- *    sphere about a voxel. From the widest on, spheres that the one which holds their middle holds
- *    as well are dropped (the distance ridge), and of those that stay the radius is the distance to the nearest point where the field passes the threshold
- *    between two voxels, from the centre or half a voxel beside it. Each voxel takes the widest of
- *    the spheres that hold it (Hildebrand and Rueegsegger, J Microsc 185, 1997). The middle of a
- *    plate lies up to a quarter of a voxel beside the nearest of these points, so that twice the
- *    radius is too little by a quarter of a voxel on average, which is added.
+ *    which the field is linear (marching tetrahedra; Doi and Koide 1991). Cells whose middle lies
+ *    in the region count.
+ * 3. Thickness: the distance to the nearest voxel that is no bone (core/distance.h) tells the
+ *    widest sphere about a voxel. From the widest on, spheres that the one which holds their middle
+ *    holds as well are dropped (the distance ridge), and of those that stay the radius is the
+ *    distance to the nearest point where the field passes the threshold between two voxels, from
+ *    the centre or half a voxel beside it. Each voxel takes the widest of the spheres that hold it
+ *    (Hildebrand and Rueegsegger, J Microsc 185, 1997). The middle of a plate lies up to a quarter
+ *    of a voxel beside the nearest of these points, so that twice the radius is too little by a
+ *    quarter of a voxel on average, which is added.
  * 4. Pieces: a flood over 26 neighbours.
  * 5. Euler number: corners - edges + faces - voxels of the union of closed voxels, which joins
  *    voxels by corners as the flood does (Odgaard and Gundersen, Bone 14, 1993).
@@ -69,8 +70,8 @@ static int work_init(struct work *w, struct gsn_error *err)
     w->ridge = gsn_alloc_array(voxels, sizeof *w->ridge);
     w->radius = gsn_alloc_array(voxels, sizeof *w->radius);
     w->row = gsn_alloc_array(w->grid->at.ny * w->grid->at.nz + 1, sizeof *w->row);
-    if (!w->bone || !w->counted || !w->squared || !w->area || !w->held || !w->ridge ||
-        !w->radius || !w->row)
+    if (!w->bone || !w->counted || !w->squared || !w->area || !w->held || !w->ridge || !w->radius ||
+        !w->row)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the morphometry of bone");
     return GSN_OK;
 }
@@ -158,7 +159,9 @@ static double cut_tetrahedron(const struct corner *const corner[4])
 static double cut_cell(const struct work *w, size_t x, size_t y, size_t z)
 {
     /* Kuhn's six, each a way from corner 0 to corner 7 along the axes in turn. */
-    static const unsigned way[6][2] = { { 1, 3 }, { 1, 5 }, { 2, 3 }, { 2, 6 }, { 4, 5 }, { 4, 6 } };
+    static const unsigned way[6][2] = {
+        { 1, 3 }, { 1, 5 }, { 2, 3 }, { 2, 6 }, { 4, 5 }, { 4, 6 }
+    };
     const struct gsn_lattice *const at = &w->grid->at;
     struct corner corner[8];
     double area = 0;
@@ -227,8 +230,7 @@ static int compare_centres(const void *left, const void *right)
 
 static struct gsn_vec3 centre_of(const struct gsn_lattice *at, size_t voxel)
 {
-    return gsn_lattice_centre(at, voxel % at->nx, voxel / at->nx % at->ny,
-                              voxel / at->nx / at->ny);
+    return gsn_lattice_centre(at, voxel % at->nx, voxel / at->nx % at->ny, voxel / at->nx / at->ny);
 }
 
 /* Whether the sphere about a voxel goes less than half a voxel beyond the one that holds it. */
@@ -240,8 +242,8 @@ static int is_held(const struct work *w, const struct centre *c, double half_vox
     if (w->held[c->voxel] == 0)
         return 0;
     other = w->ridge[w->held[c->voxel] - 1];
-    return sqrt((double)c->squared) + gsn_vec3_length(gsn_vec3_sub(centre_of(at, c->voxel),
-                                                                   centre_of(at, other))) <
+    return sqrt((double)c->squared) +
+               gsn_vec3_length(gsn_vec3_sub(centre_of(at, c->voxel), centre_of(at, other))) <
            sqrt((double)w->squared[other]) + half_voxel;
 }
 
@@ -513,8 +515,8 @@ int gsn_bone_measure(const struct gsn_grid *grid, const struct gsn_mask *region,
                      unsigned threads, struct gsn_bone *ret_bone, struct gsn_error *err)
 {
     __attribute__((cleanup(work_done))) struct work w = { .grid = grid,
-                                                           .region = region,
-                                                           .threshold = threshold };
+                                                          .region = region,
+                                                          .threshold = threshold };
     struct gsn_bone bone = { 0 };
     int r;
 

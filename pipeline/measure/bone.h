@@ -13,13 +13,13 @@ extern "C" {
 #endif
 
 struct gsn_bone {
-    double tissue_um3;     /* TV: voxels of the region that have data */
-    double bone_um3;       /* BV: those of them above the threshold */
-    double surface_um2;    /* BS: of the level within the region, by marching tetrahedra; where the
+    double tissue_um3;   /* TV: voxels of the region that have data */
+    double bone_um3;     /* BV: those of them above the threshold */
+    double surface_um2;  /* BS: of the level within the region, by marching tetrahedra; where the
                             * region's border cuts bone there is none */
-    double thickness_um;   /* Tb.Th: mean over BV of the widest sphere that holds a voxel and lies in
+    double thickness_um; /* Tb.Th: mean over BV of the widest sphere that holds a voxel and lies in
                             * bone (Hildebrand and Rueegsegger 1997); NaN without bone */
-    double thickness_sd;   /* and its standard deviation */
+    double thickness_sd; /* and its standard deviation */
     double thickness_most; /* and the largest */
     size_t components;     /* of BV, joined by faces, edges or corners */
     int64_t euler;         /* pieces - tunnels + cavities of BV */

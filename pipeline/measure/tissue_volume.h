@@ -38,7 +38,8 @@ struct gsn_tissue_volumes {
  * region count, and no figure is above the region's own volume. At most
  * GSN_TISSUE_VOLUME_MOST_THRESHOLDS thresholds. A volume whose half width passes 10 % is NaN; all
  * are, with the reason, below 8 sections, when neighbouring sections' noise is not independent, and
- * when there are too many voxels to hold. threads 0: all; the same bytes on any number. borrows: everything. Fails with GSN_E_NOMEM. */
+ * when there are too many voxels to hold. threads 0: all; the same bytes on any number. borrows:
+ * everything. Fails with GSN_E_NOMEM. */
 int gsn_tissue_volumes(const struct gsn_grid *grid, const struct gsn_mask *region,
                        const double *thresholds, size_t count, unsigned threads,
                        struct gsn_tissue_volumes *ret_volumes, struct gsn_error *err);

@@ -262,9 +262,12 @@ static int sum_up(const struct gsn_spline *spline, const struct gsn_spline *cons
         { notes->version, strlen(notes->version) + 1 },
         { region ? &lattice : NULL, sizeof lattice },
         { region ? region->inside : NULL, region ? gsn_lattice_count(&region->at) : 0 },
-        { colour ? gsn_spline_controls(colour[0]) : NULL, gsn_dms_controls(space) * sizeof(double) },
-        { colour ? gsn_spline_controls(colour[1]) : NULL, gsn_dms_controls(space) * sizeof(double) },
-        { colour ? gsn_spline_controls(colour[2]) : NULL, gsn_dms_controls(space) * sizeof(double) },
+        { colour ? gsn_spline_controls(colour[0]) : NULL,
+          gsn_dms_controls(space) * sizeof(double) },
+        { colour ? gsn_spline_controls(colour[1]) : NULL,
+          gsn_dms_controls(space) * sizeof(double) },
+        { colour ? gsn_spline_controls(colour[2]) : NULL,
+          gsn_dms_controls(space) * sizeof(double) },
     };
     gsn_auto(gsn_hash) hash = NULL;
     int r = gsn_hash_new(&hash, err);
@@ -278,9 +281,9 @@ static int sum_up(const struct gsn_spline *spline, const struct gsn_spline *cons
 static const char *const COLOURS[3] = { "red", "green", "blue" };
 
 static int write_model(hid_t file, const struct gsn_spline *spline,
-                       const struct gsn_spline *const *colour,
-                       const struct gsn_model_cells *cells, const struct gsn_mask *region,
-                       const struct gsn_model_notes *notes, struct gsn_error *err)
+                       const struct gsn_spline *const *colour, const struct gsn_model_cells *cells,
+                       const struct gsn_mask *region, const struct gsn_model_notes *notes,
+                       struct gsn_error *err)
 {
     const struct gsn_dms *space = gsn_spline_space(spline);
     const struct gsn_tets *mesh = gsn_dms_mesh(space);
@@ -359,8 +362,8 @@ static int take_image(hid_t file, uint8_t **ret_bytes, size_t *ret_size, struct 
 
 int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_spline *const *colour,
                          const struct gsn_model_cells *cells, const struct gsn_mask *region,
-                         const struct gsn_model_notes *notes, uint8_t **ret_bytes,
-                         size_t *ret_size, struct gsn_error *err)
+                         const struct gsn_model_notes *notes, uint8_t **ret_bytes, size_t *ret_size,
+                         struct gsn_error *err)
 {
     auto_id file = open_in_memory(NULL, 0);
     int r;
@@ -526,8 +529,8 @@ static int read_colours(hid_t group, struct gsn_model *model, struct gsn_error *
         gsn_auto_mem(double) control = NULL;
         size_t controls = 0;
 
-        r = read_array(group, COLOURS[c], H5T_NATIVE_DOUBLE, sizeof(double), 0, &controls,
-                       &control, err);
+        r = read_array(group, COLOURS[c], H5T_NATIVE_DOUBLE, sizeof(double), 0, &controls, &control,
+                       err);
         if (r >= 0 && gsn_dms_controls(model->space) != controls)
             r = refuse_item(COLOURS[c], err);
         if (r >= 0)

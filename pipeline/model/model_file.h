@@ -13,8 +13,9 @@
  * much. Cell data are what is known of each tetrahedron.
  *
  * /gieson holds the model itself, to the last bit: mesh, knots, control values, those of red, green
- * and blue where the specimen has colours, degree and sharing, the region of interest, the parameters of the run, and a SHA-256 over all of them. The same model
- * gives the same bytes with the same version of the HDF5 library; no time is kept. */
+ * and blue where the specimen has colours, degree and sharing, the region of interest, the
+ * parameters of the run, and a SHA-256 over all of them. The same model gives the same bytes with
+ * the same version of the HDF5 library; no time is kept. */
 #ifndef GSN_MODEL_MODEL_FILE_H
 #define GSN_MODEL_MODEL_FILE_H
 
@@ -40,12 +41,13 @@ struct gsn_model_notes {
 };
 
 /* gives: the bytes of a file. borrows: everything; colour: red, green and blue on the same space as
- * light, 0..1, or NULL; region: the voxels that the figures of the run are over, or NULL. Fails with GSN_E_IO when the HDF5 library does, naming what was written, and
- * with GSN_E_NOMEM. Not for two threads at once. */
+ * light, 0..1, or NULL; region: the voxels that the figures of the run are over, or NULL. Fails
+ * with GSN_E_IO when the HDF5 library does, naming what was written, and with GSN_E_NOMEM. Not for
+ * two threads at once. */
 int gsn_model_file_write(const struct gsn_spline *spline, const struct gsn_spline *const *colour,
                          const struct gsn_model_cells *cells, const struct gsn_mask *region,
-                         const struct gsn_model_notes *notes, uint8_t **ret_bytes,
-                         size_t *ret_size, struct gsn_error *err);
+                         const struct gsn_model_notes *notes, uint8_t **ret_bytes, size_t *ret_size,
+                         struct gsn_error *err);
 
 /* A model that was read: the splines keep the space; cells are NULL where the file has none, and so
  * are the region (files of format 1 have none) and the colours (nor has format 2). */

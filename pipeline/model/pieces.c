@@ -62,8 +62,9 @@ static void add_product_gradient(const double affine[4], double at, double value
 
 /* What M(set) is multiplied by in the sum of the face: downwards from the T_g, each of which brings
  * D_g plane_g, to the leaves. Its gradient too unless that is NULL. */
-static double set_factor(const struct gsn_face_correction *seam, const struct gsn_jump_places *jumps,
-                         unsigned set, const double u[3], double *ret_gradient)
+static double set_factor(const struct gsn_face_correction *seam,
+                         const struct gsn_jump_places *jumps, unsigned set, const double u[3],
+                         double *ret_gradient)
 {
     const struct gsn_face_correction_tables *tables = seam->tables;
     const unsigned gamma = tables->gamma[set];
@@ -139,8 +140,10 @@ static double integrate_piece(const struct part *part, const double (*corner)[3]
 
             u[c] = i == 4 ? all / 4 : far * all + (near - far) * corner[i][c];
         }
-        sum += (i == 4 ? -0.8 : cubic ? 0.45 : 0.25) * 
-                set_factor(part->seam, &part->jumps, part->leaf, u, NULL);
+        sum += (i == 4  ? -0.8
+                : cubic ? 0.45
+                        : 0.25) *
+               set_factor(part->seam, &part->jumps, part->leaf, u, NULL);
     }
     return volume * sum;
 }
@@ -293,9 +296,8 @@ void gsn_tet_line_init(const struct gsn_spline *spline, size_t tet, struct gsn_t
     gsn_spline_bernstein(spline, tet, ret_line->coefficient);
 }
 
-int gsn_tet_line_piece(const struct gsn_tet_line *line, const double start[3],
-                       const double into[3], double from, double to, int with_slope,
-                       struct gsn_line_piece *ret_piece)
+int gsn_tet_line_piece(const struct gsn_tet_line *line, const double start[3], const double into[3],
+                       double from, double to, int with_slope, struct gsn_line_piece *ret_piece)
 {
     double lambda[4], rise[4], value[4], slope[3][4];
 
@@ -361,10 +363,9 @@ static void fit_leaf(const struct gsn_face_line *line, unsigned l, const double 
                    set_factor(&line->seam, &line->jumps, l, u, with_slope ? gradient : NULL);
         for (int c = 0; with_slope && c < 3; c++) {
             /* Back from the axes of the face. */
-            slope[c][i] = line->seam.data.leaf[l] *
-                          (line->prism.turn[0][c] * gradient[0] +
-                           line->prism.turn[1][c] * gradient[1] +
-                           line->prism.turn[2][c] * gradient[2]);
+            slope[c][i] = line->seam.data.leaf[l] * (line->prism.turn[0][c] * gradient[0] +
+                                                     line->prism.turn[1][c] * gradient[1] +
+                                                     line->prism.turn[2][c] * gradient[2]);
         }
     }
     interpolate(degree, value, ret_piece->value);

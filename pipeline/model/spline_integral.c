@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Integrals of a spline: means over tetrahedra, ray integrals along whole lines, and along segments.
+/* Integrals of a spline: means over tetrahedra, ray integrals along whole lines, and along
+ * segments.
  *
  * Method, each with its section of docs/MATH.md: the mean over a tetrahedron of the mesh is the
  * mean of its polynomial, which is the mean of the Bernstein coefficients, and what the faces

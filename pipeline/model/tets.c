@@ -7,8 +7,8 @@
  * (4) neighbours: all faces as ascending triples of vertices, sorted, so that the two sides of an
  * inner face stand beside each other; they must lie on different sides of it.
  *
- * Failure: GSN_E_MESH names the vertex, tetrahedron or face. Cost: linear where few tetrahedra meet at
- * a vertex, and 64 bytes a tetrahedron while faces are sorted. */
+ * Failure: GSN_E_MESH names the vertex, tetrahedron or face. Cost: linear where few tetrahedra meet
+ * at a vertex, and 64 bytes a tetrahedron while faces are sorted. */
 #include "pipeline/model/tets.h"
 
 #include "pipeline/model/orient.h"
@@ -86,7 +86,8 @@ static int join_faces(struct gsn_tets *mesh, const struct face *a, const struct 
     return GSN_OK;
 }
 
-/* All faces by their vertices: in bins by the smallest, each of which is sorted. end: of the bins. */
+/* All faces by their vertices: in bins by the smallest, each of which is sorted. end: of the
+ * bins. */
 static void sort_faces(const struct gsn_tets *mesh, size_t *end, struct face *face)
 {
     const size_t count = 4 * mesh->tet_count;

@@ -47,8 +47,8 @@ int gsn_phantom_write_truth(const struct gsn_phantom_plan *plan,
                             int with_density, unsigned threads, const char *folder,
                             struct gsn_error *err);
 
-/* The tables of the truth alone: sections.csv, markers.csv, defects.csv and, where sections were handled,
- * decoys.csv and warp_kNNN.csv. extent is by section. */
+/* The tables of the truth alone: sections.csv, markers.csv, defects.csv and, where sections were
+ * handled, decoys.csv and warp_kNNN.csv. extent is by section. */
 int gsn_phantom_tables_write(const struct gsn_phantom_plan *plan,
                              const struct gsn_phantom_extent extent[GSN_PHANTOM_SECTIONS],
                              const char *folder, struct gsn_error *err);

@@ -2,14 +2,15 @@
 
 /* The orientation cube and the axes of the block.
  *
- * Cube: of its six faces those that look at the eye are filled, by testing each quarter of a pixel in
- * the face's own coordinates; the three edges that leave the cube's lowest corner are the axes, longer
- * than the cube, in colours and with letters. What of an axis lies behind the cube is drawn before
- * it. The cube is seen without perspective, whatever the picture is.
+ * Cube: of its six faces those that look at the eye are filled, by testing each quarter of a pixel
+ * in the face's own coordinates; the three edges that leave the cube's lowest corner are the axes,
+ * longer than the cube, in colours and with letters. What of an axis lies behind the cube is drawn
+ * before it. The cube is seen without perspective, whatever the picture is.
  *
  * Axes: of the four edges along an axis those are on the outline of the box whose one face looks at
- * the eye and whose other does not; ticks and numbers beyond them meet nothing of what is shown. The
- * lower one is drawn, or the left one where they are upright. Numbers stand at multiples of 1, 2 or 5 times a power of ten.
+ * the eye and whose other does not; ticks and numbers beyond them meet nothing of what is shown.
+ * The lower one is drawn, or the left one where they are upright. Numbers stand at multiples of 1,
+ * 2 or 5 times a power of ten.
  *
  * Failure: memory, or no fonts. Cost: some thousand pixels. */
 #include "pipeline/render/block_axes.h"
@@ -25,8 +26,9 @@ static const struct gsn_colour axis_ink[3] = { { 176, 60, 40 }, { 30, 120, 80 },
 static const struct gsn_colour edge_ink = { 90, 94, 102 }, number_ink = { 60, 64, 72 };
 static const struct gsn_colour paper = { 255, 255, 255 };
 
-/* Pixels, of a picture of FULL_PX or more; the cube of a smaller one is smaller: from the middle of the cube to the corner of the picture, half a side, how much longer an
- * axis is than a side, letters. */
+/* Pixels, of a picture of FULL_PX or more; the cube of a smaller one is smaller: from the middle of
+ * the cube to the corner of the picture, half a side, how much longer an axis is than a side,
+ * letters. */
 static const double CORNER_PX = 44, HALF_PX = 15, LONGER_PX = 11, LETTER_PX = 12, NUMBER_PX = 10.5,
                     FULL_PX = 400;
 enum { LEAST_PX = 240 }; /* narrower pictures have no room for numbers */
@@ -130,12 +132,14 @@ static int write_text(const struct painter *p, double x, double y, enum gsn_face
 
     for (int k = 0; r >= 0 && k < 9; k++)
         if (k != 4)
-            r = gsn_lettering_draw(p->letters, p->sheet, left + k % 3 - 1, top + k / 3 - 1, face, px,
-                                   text, paper, err);
-    return r < 0 ? r : gsn_lettering_draw(p->letters, p->sheet, left, top, face, px, text, ink, err);
+            r = gsn_lettering_draw(p->letters, p->sheet, left + k % 3 - 1, top + k / 3 - 1, face,
+                                   px, text, paper, err);
+    return r < 0 ? r
+                 : gsn_lettering_draw(p->letters, p->sheet, left, top, face, px, text, ink, err);
 }
 
-/* From the lowest corner along an axis: within the cube (part 0), or what is longer with its letter. */
+/* From the lowest corner along an axis: within the cube (part 0), or what is longer with its
+ * letter. */
 static int draw_cube_axis(const struct painter *p, int axis, int part, struct gsn_error *err)
 {
     const double longer = 1 + LONGER_PX / HALF_PX;
@@ -189,8 +193,8 @@ static int faces_eye(const struct gsn_camera *camera, const struct gsn_block_box
     return upper ? camera->into[axis] < 0 : camera->into[axis] > 0;
 }
 
-int gsn_block_axes_edge(const struct gsn_camera *camera, const struct gsn_block_box_um *box, int axis,
-                        double ret_from[3], double ret_to[3])
+int gsn_block_axes_edge(const struct gsn_camera *camera, const struct gsn_block_box_um *box,
+                        int axis, double ret_from[3], double ret_to[3])
 {
     const int b = (axis + 1) % 3, c = (axis + 2) % 3;
     double best = -INFINITY;
@@ -202,7 +206,7 @@ int gsn_block_axes_edge(const struct gsn_camera *camera, const struct gsn_block_
             continue;
         for (int e = 0; e < 2; e++) {
             for (int i = 0; i < 3; i++)
-                end[e][i] = i == axis ? (e ? box->high : box->low)[i]
+                end[e][i] = i == axis                   ? (e ? box->high : box->low)[i]
                             : (i == b ? k & 1 : k >> 1) ? box->high[i]
                                                         : box->low[i];
             gsn_camera_project(camera, end[e], px[e], &depth);

@@ -21,10 +21,10 @@ struct gsn_block_box_um {
 #define GSN_BLOCK_AXES_SHARE 0.84
 
 /* The edge of the box along which an axis (0, 1, 2) is drawn: of those on the outline of the box as
- * it is seen the lowest in the picture, or leftmost where they are upright. From the lower end to the
- * upper. 0: there is none, for the axis points at the eye. */
-int gsn_block_axes_edge(const struct gsn_camera *camera, const struct gsn_block_box_um *box, int axis,
-                        double ret_from[3], double ret_to[3]);
+ * it is seen the lowest in the picture, or leftmost where they are upright. From the lower end to
+ * the upper. 0: there is none, for the axis points at the eye. */
+int gsn_block_axes_edge(const struct gsn_camera *camera, const struct gsn_block_box_um *box,
+                        int axis, double ret_from[3], double ret_to[3]);
 
 /* Draws the cube into the upper right corner of the picture, whose own upper left corner is at
  * (x, y) of the sheet, and, unless box is NULL or the picture too small for numbers, the axes of

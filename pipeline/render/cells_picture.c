@@ -2,11 +2,12 @@
 
 /* Cells drawn apart, by a z-buffer of their faces.
  *
- * Steps: (1) of each cell that is shown the four corners are drawn towards its middle and projected;
- * in perspective the depth kept is -1 / distance, which is linear across the picture; (2) bands of
- * rows go to threads: each fills the faces that look at the eye into across x across samples a pixel,
- * nearest wins, of equals the cell that came first; (3) the samples of a pixel are averaged. A face
- * has one colour: the density's, darker the more it turns from the light (Lambert).
+ * Steps: (1) of each cell that is shown the four corners are drawn towards its middle and
+ * projected; in perspective the depth kept is -1 / distance, which is linear across the picture;
+ * (2) bands of rows go to threads: each fills the faces that look at the eye into across x across
+ * samples a pixel, nearest wins, of equals the cell that came first; (3) the samples of a pixel are
+ * averaged. A face has one colour: the density's, darker the more it turns from the light
+ * (Lambert).
  *
  * Failure: GSN_E_INPUT on what cannot be drawn, GSN_E_NOMEM. Cost: every cell is looked at once a
  * band. */
@@ -116,7 +117,8 @@ static int project_cells(const struct gsn_tets *mesh, const double *density, dou
             gsn_camera_project(d->camera, at[k], pixel, &depth);
             cell->x[k] = (float)(pixel[0] * d->across);
             cell->y[k] = (float)(pixel[1] * d->across);
-            cell->depth[k] = (float)(d->camera->eye_um > 0 ? -1 / (d->camera->eye_um + depth) : depth);
+            cell->depth[k] =
+                (float)(d->camera->eye_um > 0 ? -1 / (d->camera->eye_um + depth) : depth);
         }
         for (int k = 0; k < 4; k++)
             cell->shade[k] = shade_of(d->camera, (const double(*)[3])at, k);
@@ -181,7 +183,8 @@ static int paint_band(size_t band, void *context, struct gsn_error *err)
         sample[i].depth = INFINITY;
     for (size_t t = 0; t < d->cells; t++) {
         const struct cell *cell = &d->cell[t];
-        const double low = (double)fminf(fminf(cell->y[0], cell->y[1]), fminf(cell->y[2], cell->y[3]));
+        const double low =
+            (double)fminf(fminf(cell->y[0], cell->y[1]), fminf(cell->y[2], cell->y[3]));
         const double high =
             (double)fmaxf(fmaxf(cell->y[0], cell->y[1]), fmaxf(cell->y[2], cell->y[3]));
 
@@ -193,12 +196,11 @@ static int paint_band(size_t band, void *context, struct gsn_error *err)
     }
     for (int y = 0; y < rows_px; y++)
         for (int x = 0; x < (int)d->camera->width; x++) {
-            float *to =
-                d->picture->rgba[(band * BAND + (size_t)y) * d->camera->width + (size_t)x];
+            float *to = d->picture->rgba[(band * BAND + (size_t)y) * d->camera->width + (size_t)x];
 
             for (unsigned k = 0; k < n * n; k++) {
-                const struct sample *s = sample + ((size_t)y * n + k / n) * (size_t)width +
-                                         (size_t)x * n + k % n;
+                const struct sample *s =
+                    sample + ((size_t)y * n + k / n) * (size_t)width + (size_t)x * n + k % n;
 
                 if (isinf(s->depth))
                     continue;

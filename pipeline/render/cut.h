@@ -58,7 +58,8 @@ int gsn_cut_grid(const struct gsn_grid *grid, const struct gsn_cut_frame *frame,
                  struct gsn_plane **ret_plane, struct gsn_error *err);
 
 /* Ends of a colour scale, low < high: smallest and largest value at the voxels of the region that
- * have data; 0 and 1 when none has, and from the value v up to v + max(1, |v|) when all have one. */
+ * have data; 0 and 1 when none has, and from the value v up to v + max(1, |v|) when all have
+ * one. */
 void gsn_cut_range(const struct gsn_grid *grid, const struct gsn_mask *region, double *ret_low,
                    double *ret_high);
 

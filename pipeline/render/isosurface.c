@@ -6,17 +6,18 @@
  * border at a fixed rate. It is 0 on the surface of the solid {s >= level} in the region.
  *
  * Method: marching tetrahedra, with crossings on edges found on the spline itself and not by
- * interpolation, on a mesh that is bisected where its triangles are too far from the surface: a chord t
- * between two points whose normals differ by d lies d . t / 8 beside the arc. Bisection keeps the mesh
- * conforming (bisection.h), so the surface is closed across cells of all sizes wherever the level does
- * not leave the domain. References: A. Doi, A. Koide, "An efficient method of triangulating
- * equi-valued surfaces by using tetrahedral cells", IEICE Trans. E74, 1991; M.-C. Rivara 1997.
+ * interpolation, on a mesh that is bisected where its triangles are too far from the surface: a
+ * chord t between two points whose normals differ by d lies d . t / 8 beside the arc. Bisection
+ * keeps the mesh conforming (bisection.h), so the surface is closed across cells of all sizes
+ * wherever the level does not leave the domain. References: A. Doi, A. Koide, "An efficient method
+ * of triangulating equi-valued surfaces by using tetrahedral cells", IEICE Trans. E74, 1991; M.-C.
+ * Rivara 1997.
  *
- * Steps: (1) cells at whose corners every piece of the surface shows (level_cells.h); (2) heights of
- * all corners together; (3) edges that pass the level, once each; (4) roots by false position (the
- * Illinois rule), all edges of a round together, and normals from gradients; (5) triangles, outside
- * to outside; (6) cells whose triangles are too far, or whose edges are too long, are bisected, and
- * again from (2).
+ * Steps: (1) cells at whose corners every piece of the surface shows (level_cells.h); (2) heights
+ * of all corners together; (3) edges that pass the level, once each; (4) roots by false position
+ * (the Illinois rule), all edges of a round together, and normals from gradients; (5) triangles,
+ * outside to outside; (6) cells whose triangles are too far, or whose edges are too long, are
+ * bisected, and again from (2).
  *
  * Failure: GSN_E_LIMIT, GSN_E_NOMEM. It ends at MOST_CELLS with what was reached, and says so in
  * error_um. Cost: one value a corner and some eight an edge that passes the level, of all rounds
@@ -46,8 +47,8 @@ struct hash_table {
 /* Whether item number has the key. */
 typedef int hash_same(uint32_t number, const void *key, const void *context);
 
-/* What is marched: a mesh, and of each vertex whether it is on the mesh's boundary, and a tetrahedron
- * that has it. */
+/* What is marched: a mesh, and of each vertex whether it is on the mesh's boundary, and a
+ * tetrahedron that has it. */
 struct cells {
     struct gsn_tets *mesh; /* owned */
     uint32_t *home;        /* owned */
@@ -254,9 +255,9 @@ static int heights_at(const struct level_function *level, const double (*at)[3],
     return r;
 }
 
-/* Heights of the cells' corners from number first on. The half-open rule puts the points of some boundary faces
- * outside; there it is the limit from inside. threads 0: all; the same bytes on any number. Fails
- * with GSN_E_NOMEM. */
+/* Heights of the cells' corners from number first on. The half-open rule puts the points of some
+ * boundary faces outside; there it is the limit from inside. threads 0: all; the same bytes on any
+ * number. Fails with GSN_E_NOMEM. */
 static int level_heights(const struct level_function *level, size_t first, unsigned threads,
                          double *ret_height, struct gsn_error *err)
 {
@@ -478,8 +479,8 @@ void gsn_trimesh_free(struct gsn_trimesh *surface)
     gsn_free(surface);
 }
 
-/* A surface on some cells. The next one, on finer cells, takes over what it knows of corners and edges
- * that are still there. */
+/* A surface on some cells. The next one, on finer cells, takes over what it knows of corners and
+ * edges that are still there. */
 struct marching {
     const struct gsn_tets *mesh; /* borrowed */
     double *height;              /* s - level at its vertices */
@@ -537,8 +538,7 @@ static int find_vertex(struct marching *marching, uint32_t inside, uint32_t outs
 
 static int grow_triangles(struct marching *marching, size_t room, struct gsn_error *err)
 {
-    uint32_t(*triangle)[3] =
-        gsn_realloc_array(marching->surface->triangle, room, sizeof *triangle);
+    uint32_t(*triangle)[3] = gsn_realloc_array(marching->surface->triangle, room, sizeof *triangle);
     uint32_t *cell;
 
     if (!triangle)
@@ -622,12 +622,10 @@ static int march_cell(struct marching *marching, uint32_t cell, struct gsn_error
 
 /* Heights at all corners; those that last knows are taken over. */
 static int find_heights(struct marching *marching, struct marching *last,
-                        const struct level_function *level, unsigned threads,
-                        struct gsn_error *err)
+                        const struct level_function *level, unsigned threads, struct gsn_error *err)
 {
     marching->points = marching->mesh->vertex_count;
-    marching->height =
-        gsn_realloc_array(last->height, marching->points, sizeof *marching->height);
+    marching->height = gsn_realloc_array(last->height, marching->points, sizeof *marching->height);
     if (!marching->height)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu points", marching->points);
     last->height = NULL;
@@ -720,8 +718,8 @@ static int find_vertices(struct marching *marching, const struct marching *last,
     return r;
 }
 
-/* The surface on the cells into marching, at any outcome to be done with. last: on coarser cells, of
- * which these are a refinement; or all 0. */
+/* The surface on the cells into marching, at any outcome to be done with. last: on coarser cells,
+ * of which these are a refinement; or all 0. */
 static int march(const struct level_function *level, unsigned threads, struct marching *last,
                  struct marching *marching, struct gsn_error *err)
 {

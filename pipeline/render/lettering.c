@@ -12,8 +12,8 @@
  * scale bar has the largest length of 1, 2 or 5 times a power of ten that fits. What a line of
  * letters needs is measured, and the sheet is made as wide as that.
  *
- * Failure: GSN_E_NOTFOUND where a font is missing, GSN_E_INPUT where it is damaged, what a read says
- * where it cannot be read; GSN_E_NOMEM as far as cairo says so (glib ends the process itself).
+ * Failure: GSN_E_NOTFOUND where a font is missing, GSN_E_INPUT where it is damaged, what a read
+ * says where it cannot be read; GSN_E_NOMEM as far as cairo says so (glib ends the process itself).
  * Cost: a lettering reads two files of 0.7 MB, and so does a sheet; a line of text its box. */
 #include "pipeline/render/lettering.h"
 
@@ -44,7 +44,8 @@ static int add_font(FcConfig *fonts, const char *folder, const char *name, struc
     if (FcConfigAppFontAddFile(fonts, (const FcChar8 *)path))
         return GSN_OK;
     if (gsn_file_read(path, MOST_BYTES, &bytes, &size, err))
-        return gsn_fail_at(err, "pictures are lettered with a font of the package fonts-dejavu-core");
+        return gsn_fail_at(err,
+                           "pictures are lettered with a font of the package fonts-dejavu-core");
     if (!FcConfigAppFontAddFile(fonts, (const FcChar8 *)path))
         return gsn_fail(err, GSN_E_INPUT,
                         "the font %s is damaged, and pictures are lettered with it: install the "

@@ -8,8 +8,8 @@
 
 #include <pango/pangocairo.h>
 
-/* gives (g_object_unref): the text laid out in this face, with characters that it lacks named; broken
- * into lines of this width, and at newlines, or with a width of 0 on one line. */
+/* gives (g_object_unref): the text laid out in this face, with characters that it lacks named;
+ * broken into lines of this width, and at newlines, or with a width of 0 on one line. */
 PangoLayout *gsn_lettering_layout(struct gsn_lettering *lettering, enum gsn_face face, double px,
                                   const char *text, double width);
 

@@ -2,13 +2,14 @@
 
 /* A mesh at whose corners every piece of a level set shows, so that marching it misses none.
  *
- * Method: where a piece lies in a tetrahedron, or passes through a face or an edge of it, and no corner
- * shows it, s is extreme somewhere in that tetrahedron, face or edge, and beyond the level. Both are
- * asked of the Bernstein coefficients there: s lies between the least and the largest of them, and has
- * no extremum where, along the direction of one edge, all their differences have one sign. Where
- * neither rules it out the tetrahedron is bisected; for a face or an edge only if the piece may reach
- * through it by more than the error allowed, by the slope between the corners. Reference: R. T. Farouki, "The Bernstein polynomial basis: a centennial retrospective",
- * Computer Aided Geometric Design 29, 2012; restriction to a smaller tetrahedron by blossoming.
+ * Method: where a piece lies in a tetrahedron, or passes through a face or an edge of it, and no
+ * corner shows it, s is extreme somewhere in that tetrahedron, face or edge, and beyond the level.
+ * Both are asked of the Bernstein coefficients there: s lies between the least and the largest of
+ * them, and has no extremum where, along the direction of one edge, all their differences have one
+ * sign. Where neither rules it out the tetrahedron is bisected; for a face or an edge only if the
+ * piece may reach through it by more than the error allowed, by the slope between the corners.
+ * Reference: R. T. Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer
+ * Aided Geometric Design 29, 2012; restriction to a smaller tetrahedron by blossoming.
  *
  * Steps: (1) the polynomial of each tetrahedron of the spline, without what its seams add; (2) each
  * cell of the refinement finds the tetrahedron that holds it, and its coefficients there;
@@ -181,10 +182,9 @@ static double corner_range(struct bernstein *p)
     return high - low;
 }
 
-/* Whether the tetrahedron may hold a piece that its corners do not show, or a face or an edge may be
- * passed by one. bulge: of s, what it may be passed by; slack: what is rounding. */
-static int is_doubtful(struct bernstein *p, const struct gsn_dms *space, double bulge,
-                       double slack)
+/* Whether the tetrahedron may hold a piece that its corners do not show, or a face or an edge may
+ * be passed by one. bulge: of s, what it may be passed by; slack: what is rounding. */
+static int is_doubtful(struct bernstein *p, const struct gsn_dms *space, double bulge, double slack)
 {
     const unsigned above = corners_above(p);
 
@@ -297,8 +297,8 @@ static int split_doubtful(const struct gsn_spline *spline, double level, double 
     return GSN_OK;
 }
 
-int gsn_level_cells(const struct gsn_spline *spline, double level, double error_um,
-                    double least_um, struct gsn_tets **ret_cells, struct gsn_error *err)
+int gsn_level_cells(const struct gsn_spline *spline, double level, double error_um, double least_um,
+                    struct gsn_tets **ret_cells, struct gsn_error *err)
 {
     const struct gsn_tets *const mesh = gsn_dms_mesh(gsn_spline_space(spline));
     gsn_auto(gsn_tets) cells = NULL;

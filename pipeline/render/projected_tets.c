@@ -3,13 +3,13 @@
 /* Projected tetrahedra (P. Shirley and A. Tuchman 1990, 10.1145/99308.99322), in software.
  *
  * Method: the depth at which a ray enters or leaves through a face is an affine function of the
- * pixel: the depth itself without perspective, with it -1 / depth. So a tetrahedron lies between the
- * greatest of its entering faces' functions and the least of its leaving faces', wherever the one
- * is below the other; the classes of silhouettes and the fans of triangles of the paper follow from
- * these four functions and need not be told apart. Between two such depths a linear density has the
- * mean of the middle. A face has one function, computed from its vertices in one order, whichever
- * tetrahedron asks: what the one loses to rounding the other gains, and no pixel of a shared edge
- * is counted twice or not at all. A face that is seen edge on is tilted by 1e-12.
+ * pixel: the depth itself without perspective, with it -1 / depth. So a tetrahedron lies between
+ * the greatest of its entering faces' functions and the least of its leaving faces', wherever the
+ * one is below the other; the classes of silhouettes and the fans of triangles of the paper follow
+ * from these four functions and need not be told apart. Between two such depths a linear density
+ * has the mean of the middle. A face has one function, computed from its vertices in one order,
+ * whichever tetrahedron asks: what the one loses to rounding the other gains, and no pixel of a
+ * shared edge is counted twice or not at all. A face that is seen edge on is tilted by 1e-12.
  *
  * Light is composed in order of visibility: cells are visited by the depth of their middles, and
  * each pixel keeps its stretches sorted by depth, which settles what middles cannot (cycles, cells
@@ -40,7 +40,8 @@ enum { TILE = 64, PIXELS = TILE * TILE, PER_CHUNK = 512, BATCHES = 20, LANES = 8
 /* -1 / depth where there is next to none. */
 #define AT_EYE (-1e30F)
 
-/* Places (X, Y) in the plane of the picture in um, depths from it, or from the eye if there is one. */
+/* Places (X, Y) in the plane of the picture in um, depths from it, or from the eye if there is
+ * one. */
 struct cell {
     double face[4][3];        /* at[0] + at[1] X + at[2] Y; entering ones first */
     double base[3], slope[3]; /* density at the middle's depth, and its rise with depth */
@@ -156,8 +157,8 @@ static int project_face(const struct projection *p, size_t tet, int corner, doub
     return (rate > 0) != turned;
 }
 
-/* The corner values of the linear function that is nearest to a polynomial in least squares over its
- * tetrahedron: the moments of both with the barycentric coordinates are equal. */
+/* The corner values of the linear function that is nearest to a polynomial in least squares over
+ * its tetrahedron: the moments of both with the barycentric coordinates are equal. */
 static void fit_linear(const struct gsn_dms *space, const double *bernstein, double ret_corner[4])
 {
     const unsigned n = gsn_dms_degree(space);
@@ -169,8 +170,7 @@ static void fit_linear(const struct gsn_dms *space, const double *bernstein, dou
             moment[k] += share * (gsn_dms_beta(space, f)[k] + 1) * bernstein[f];
     }
     for (int k = 0; k < 4; k++)
-        ret_corner[k] = 20 * moment[k] -
-                        4 * (moment[0] + moment[1] + moment[2] + moment[3]);
+        ret_corner[k] = 20 * moment[k] - 4 * (moment[0] + moment[1] + moment[2] + moment[3]);
 }
 
 static void fit_density(const struct projection *p, size_t tet, struct cell *cell)
@@ -285,7 +285,7 @@ static int project_cells(struct projection *p, unsigned threads, struct gsn_erro
 
 /* What a cell gives to a pixel. */
 struct stretch {
-    float at, depth;     /* where it begins; optical */
+    float at, depth; /* where it begins; optical */
     float share, shade;
 };
 
@@ -372,8 +372,9 @@ static int lay_rays(struct tile *tile, struct gsn_ray_spans *spans, struct gsn_e
     return r;
 }
 
-/* A row of a cell: pixels first..last of a row of the tile, and at its pixel 0 the faces' functions,
- * the density at the middle's depth, and its rise with depth; all with what a pixel adds. */
+/* A row of a cell: pixels first..last of a row of the tile, and at its pixel 0 the faces'
+ * functions, the density at the middle's depth, and its rise with depth; all with what a pixel
+ * adds. */
 struct row {
     float face[4], face_step[4], base, base_step, slope, slope_step, middle;
     int first, last;
@@ -419,8 +420,8 @@ static void row_init(const struct tile *tile, const struct cell *cell,
     ret_row->last = last;
 }
 
-/* Where the rays enter the cell and leave it, from pixel first on, and nowhere from pixel last on to
- * the end of a lane; entering and leaving faces padded to three each. */
+/* Where the rays enter the cell and leave it, from pixel first on, and nowhere from pixel last on
+ * to the end of a lane; entering and leaving faces padded to three each. */
 static void cross_row(const struct row *row, unsigned entering, float *restrict in,
                       float *restrict out)
 {
@@ -492,8 +493,8 @@ static void add_sums(struct tile *tile, const struct row *row, size_t pixel, int
             const int at = i + lane;
             const float x = (float)(row->first + at), long_um = (out[at] - in[at]) * norm[at];
             const float depth = (in[at] + out[at]) * 0.5F - row->middle;
-            const float density = row->base + row->base_step * x +
-                                  depth * (row->slope + row->slope_step * x);
+            const float density =
+                row->base + row->base_step * x + depth * (row->slope + row->slope_step * x);
             const int met = in[at] < out[at];
 
             sum[at] += met ? long_um * density : 0;

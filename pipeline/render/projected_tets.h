@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Pictures of a spline cell by cell, for a quick look: the tetrahedra are projected, and each adds to
- * the pixels that it covers what it would if the density in it were linear.
+/* Pictures of a spline cell by cell, for a quick look: the tetrahedra are projected, and each adds
+ * to the pixels that it covers what it would if the density in it were linear.
  *
  * That linear density is the best one for the polynomial of the cell in least squares and has its
  * mean, so that a cell weighs in the picture what it weighs in the model. A spline of degree 1 with

@@ -14,8 +14,8 @@
  * one colour it is c (T_0 - T_1), exactly; what the colour differs from that of the middle is
  * integrated by Gauss's rule of 3 points in Kronrod's of 7, halved until the two agree.
  *
- * Steps: (1) the camera, and the pixels that the shadow of each tetrahedron and face may touch;
- * (2) tile by tile, and there by depth: their pieces of every ray; (3) per ray what the clip leaves,
+ * Steps: (1) the camera, and the pixels that the shadow of each tetrahedron and face may touch; (2)
+ * tile by tile, and there by depth: their pieces of every ray; (3) per ray what the clip leaves,
  * and the pieces by where they begin; (4) an X-ray adds the integrals of the pieces; otherwise the
  * sum of the polynomials between two ends is composed, or searched for the level; (5) rays of a
  * pixel averaged.
@@ -57,7 +57,7 @@ struct casting {
     const struct gsn_spline *spline;
     const struct gsn_ray_clip *clip;
     const struct gsn_ray_style *style;
-    struct gsn_camera camera; /* of rays, style->across a pixel's side */
+    struct gsn_camera camera;  /* of rays, style->across a pixel's side */
     int with_slope, with_tint; /* gradients, colours of the style are kept with pieces */
     struct gsn_ray_colours colours;
     double blur;
@@ -65,8 +65,8 @@ struct casting {
     struct gsn_ray_reach *reach;
     struct gsn_ray_bins bins;
     size_t first_tile;
-    float *value;      /* X-ray, a ray each */
-    float (*rgba)[4];  /* otherwise */
+    float *value;     /* X-ray, a ray each */
+    float (*rgba)[4]; /* otherwise */
 };
 
 static void casting_done(struct casting *casting)
@@ -101,8 +101,8 @@ static struct gsn_ray_reach reach_face(const struct casting *casting, size_t tet
         return (struct gsn_ray_reach){ { 1, 1 }, { 0, 0 } };
     for (int k = 0; k < 3; k++) {
         for (unsigned l = 0; l <= prism.top; l++)
-            gsn_ray_reach_point(&casting->camera, gsn_dms_knots(space)[prism.vertex[k] * per_cloud + l],
-                        low, high);
+            gsn_ray_reach_point(&casting->camera,
+                                gsn_dms_knots(space)[prism.vertex[k] * per_cloud + l], low, high);
     }
     return gsn_ray_reach_of(&casting->camera, low, high);
 }
@@ -180,8 +180,8 @@ static int bin_items(struct casting *casting, unsigned threads, struct gsn_error
 
 struct kept {
     double from, to, value[4]; /* as of gsn_line_piece */
-    uint16_t ray; /* of the tile */
-    uint8_t home; /* of a tetrahedron, not of a face */
+    uint16_t ray;              /* of the tile */
+    uint8_t home;              /* of a tetrahedron, not of a face */
 };
 
 struct tile {
@@ -192,8 +192,8 @@ struct tile {
     double (*slope)[3][4]; /* of kept, if gradients are asked for */
     double (*tint)[3][4];  /* and colours */
     size_t count, room;
-    uint32_t *order;  /* of kept, by ray, and there by where they begin */
-    uint32_t *active; /* of kept, on a stretch; room for all */
+    uint32_t *order;                  /* of kept, by ray, and there by where they begin */
+    uint32_t *active;                 /* of kept, on a stretch; room for all */
     struct gsn_ray_spans spans, runs; /* of one ray */
 };
 
@@ -284,8 +284,8 @@ static size_t find_pieces(const struct item_line *line, const struct gsn_ray *ra
 {
     return line->home ? (size_t)gsn_tet_line_piece(&line->tet, ray->start, ray->into, ray->from,
                                                    ray->to, with_slope, piece)
-                      : gsn_face_line_pieces(&line->face, ray->start, ray->into, ray->from,
-                                             ray->to, with_slope, piece);
+                      : gsn_face_line_pieces(&line->face, ray->start, ray->into, ray->from, ray->to,
+                                             with_slope, piece);
 }
 
 /* Colours of the pieces kept last: splines on one space have their pieces in the same places. */
@@ -323,8 +323,8 @@ static int cast_item(struct tile *tile, uint32_t item, struct item_line *line,
             const struct gsn_ray *ray = &tile->ray[at];
             size_t count;
 
-            if ((int)(tile->low[0] + x) < reach.low[0] ||
-                (int)(tile->low[0] + x) > reach.high[0] || !(ray->from < ray->to))
+            if ((int)(tile->low[0] + x) < reach.low[0] || (int)(tile->low[0] + x) > reach.high[0] ||
+                !(ray->from < ray->to))
                 continue;
             count = find_pieces(line, ray, casting->with_slope, piece);
             r = keep_pieces(tile, piece, count, at, line->home, err);
@@ -338,10 +338,10 @@ static int cast_item(struct tile *tile, uint32_t item, struct item_line *line,
 /* --- a piece: one polynomial on a stretch of a ray --- */
 
 struct stretch {
-    double from, length;           /* um */
+    double from, length;                      /* um */
     double value[4], slope[3][4], tint[3][4]; /* in 0..1 */
-    double share;                  /* of the tolerance */
-    int fresh;                     /* nothing of the ray is seen just before it */
+    double share;                             /* of the tolerance */
+    int fresh;                                /* nothing of the ray is seen just before it */
 };
 
 static double poly_at(const double c[4], double v)
@@ -425,8 +425,8 @@ static unsigned find_roots(const double c[4], double level, double ret_root[3])
 
 /* What has been seen along a ray. */
 struct seen {
-    double integral;         /* X-ray */
-    double light[3], left;   /* colour, transparency */
+    double integral;       /* X-ray */
+    double light[3], left; /* colour, transparency */
     int done, any;
 };
 
@@ -490,8 +490,8 @@ static void add_glow(const struct glow *glow, double v, double weight, double su
 static const double node[4] = { 0, 0.774596669241483377, 0.434243749346802558,
                                 0.960491268708020283 };
 static const double gauss[2] = { 8.0 / 9, 5.0 / 9 };
-static const double kronrod[4] = { 0.450916538658474142, 0.268488089868333441,
-                                   0.401397414775962222, 0.104656226026467265 };
+static const double kronrod[4] = { 0.450916538658474142, 0.268488089868333441, 0.401397414775962222,
+                                   0.104656226026467265 };
 
 static void integrate_glow(const struct glow *glow, double low, double high, double allowed,
                            unsigned depth, double sum[3])
@@ -839,8 +839,7 @@ static int cast_ray(struct tile *tile, const struct gsn_ray *ray, uint32_t *orde
 }
 
 /* Counting sort of the pieces by ray; ret_start[i] is where those of ray i begin. */
-static int order_pieces(struct tile *tile, size_t ret_start[TILE * TILE + 2],
-                        struct gsn_error *err)
+static int order_pieces(struct tile *tile, size_t ret_start[TILE * TILE + 2], struct gsn_error *err)
 {
     memset(ret_start, 0, (TILE * TILE + 2) * sizeof *ret_start);
     tile->order = gsn_alloc_array(tile->count, sizeof *tile->order);
@@ -863,8 +862,8 @@ static void put_ray(struct casting *casting, size_t at, const struct seen *seen)
         return;
     }
     for (int c = 0; c < 3; c++)
-        casting->rgba[at][c] = (float)((casting->mode == MODE_SURFACE ? 1 - seen->left : 1) *
-                                       seen->light[c]);
+        casting->rgba[at][c] =
+            (float)((casting->mode == MODE_SURFACE ? 1 - seen->left : 1) * seen->light[c]);
     casting->rgba[at][3] = (float)(1 - seen->left);
 }
 
@@ -970,8 +969,8 @@ int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_camera *camer
     int r = cast_rays(&casting, camera, threads, progress, err);
 
     return r < 0 ? r
-                 : gsn_ray_mean_values(casting.value, style->across, camera->width,
-                                       camera->height, ret_plane, err);
+                 : gsn_ray_mean_values(casting.value, style->across, camera->width, camera->height,
+                                       ret_plane, err);
 }
 
 static int make_picture(struct casting *casting, const struct gsn_camera *camera, unsigned threads,
@@ -991,8 +990,7 @@ static int make_picture(struct casting *casting, const struct gsn_camera *camera
 int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *camera,
                    const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                    unsigned threads, const struct gsn_progress *progress,
-                   struct gsn_ray_picture **ret_picture,
-                   struct gsn_error *err)
+                   struct gsn_ray_picture **ret_picture, struct gsn_error *err)
 {
     auto_casting casting = { MODE_VOLUME, spline, clip, style, .with_slope = 0 };
 
@@ -1002,8 +1000,7 @@ int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *cam
 int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *camera,
                     const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                     unsigned threads, const struct gsn_progress *progress,
-                    struct gsn_ray_picture **ret_picture,
-                    struct gsn_error *err)
+                    struct gsn_ray_picture **ret_picture, struct gsn_error *err)
 {
     auto_casting casting = { MODE_SURFACE, spline, clip, style, .with_slope = 0 };
 

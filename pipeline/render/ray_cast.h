@@ -66,13 +66,12 @@ int gsn_ray_xray(const struct gsn_spline *spline, const struct gsn_camera *camer
                  struct gsn_plane **ret_plane, struct gsn_error *err);
 
 /* Light that is emitted in proportion to the extinction, in the colour of the density or in that of
- * style's colour, and absorbed on its way to the eye. With style's colour the picture is of light, not
- * of codes. Each colour of a ray is good to GSN_RAY_TOLERANCE. */
+ * style's colour, and absorbed on its way to the eye. With style's colour the picture is of light,
+ * not of codes. Each colour of a ray is good to GSN_RAY_TOLERANCE. */
 int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *camera,
                    const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                    unsigned threads, const struct gsn_progress *progress,
-                   struct gsn_ray_picture **ret_picture,
-                   struct gsn_error *err);
+                   struct gsn_ray_picture **ret_picture, struct gsn_error *err);
 #define GSN_RAY_TOLERANCE 2e-5
 
 /* The nearest place where s rises to the level, lit by its exact gradient. Where the ray comes in
@@ -81,24 +80,24 @@ int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *cam
 int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *camera,
                     const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                     unsigned threads, const struct gsn_progress *progress,
-                    struct gsn_ray_picture **ret_picture,
-                    struct gsn_error *err);
+                    struct gsn_ray_picture **ret_picture, struct gsn_error *err);
 
 /* gives: the sheet: the picture with title (may be NULL), the block's cube, the axes of box (NULL:
- * none), scale bar, and a colour scale from 0, or the smallest value below, to the largest (or over range, unless NULL), in
- * "density x um" unless unit is given.
- * Fails with GSN_E_NOMEM, and with GSN_E_NOTFOUND without the fonts (lettering.h). */
+ * none), scale bar, and a colour scale from 0, or the smallest value below, to the largest (or over
+ * range, unless NULL), in "density x um" unless unit is given. Fails with GSN_E_NOMEM, and with
+ * GSN_E_NOTFOUND without the fonts (lettering.h). */
 int gsn_xray_paint(const struct gsn_plane *plane, const struct gsn_camera *camera,
                    const struct gsn_block_box_um *box, const double range[2], const char *title,
                    const char *unit, enum gsn_colour_map map, struct gsn_image **ret_image,
                    struct gsn_error *err);
 
 /* gives: the sheet: the picture on white, title, note, the block's cube, the axes of box (NULL:
- * none), scale bar, and the colour scale of the style unless it has colours of its own. Fails alike. */
+ * none), scale bar, and the colour scale of the style unless it has colours of its own. Fails
+ * alike. */
 int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera *camera,
                   const struct gsn_ray_style *style, const struct gsn_block_box_um *box,
-                  const char *title, const char *note,
-                  struct gsn_image **ret_image, struct gsn_error *err);
+                  const char *title, const char *note, struct gsn_image **ret_image,
+                  struct gsn_error *err);
 
 #ifdef __cplusplus
 }

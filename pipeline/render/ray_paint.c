@@ -3,7 +3,8 @@
 /* The sheets that pictures by rays are mounted on: title, note, colour scale, scale bar, and which
  * way the block lies (block_axes.h).
  *
- * Failure: GSN_E_NOMEM; GSN_E_NOTFOUND without the fonts (lettering.h). Cost: linear in the pixels. */
+ * Failure: GSN_E_NOMEM; GSN_E_NOTFOUND without the fonts (lettering.h). Cost: linear in the
+ * pixels. */
 #include "pipeline/core/srgb.h"
 #include "pipeline/render/lettering.h"
 #include "pipeline/render/ray_cast.h"
@@ -42,8 +43,8 @@ int gsn_xray_paint(const struct gsn_plane *plane, const struct gsn_camera *camer
 
 int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera *camera,
                   const struct gsn_ray_style *style, const struct gsn_block_box_um *box,
-                  const char *title, const char *note,
-                  struct gsn_image **ret_image, struct gsn_error *err)
+                  const char *title, const char *note, struct gsn_image **ret_image,
+                  struct gsn_error *err)
 {
     const struct gsn_plate plate = { .title = title,
                                      .note = note,
@@ -67,9 +68,9 @@ int gsn_ray_paint(const struct gsn_ray_picture *picture, const struct gsn_camera
             for (int c = 0; c < 3; c++) {
                 const double on_white = fmin(1, (double)p[c] + 1 - (double)p[3]);
 
-                rgb[c] = (uint8_t)(255 * (picture->is_light ? gsn_srgb_of_light(on_white)
-                                                            : on_white) +
-                                   0.5);
+                rgb[c] =
+                    (uint8_t)(255 * (picture->is_light ? gsn_srgb_of_light(on_white) : on_white) +
+                              0.5);
             }
             gsn_canvas_put(sheet, x + (int)i, y + (int)j,
                            (struct gsn_colour){ rgb[0], rgb[1], rgb[2] });

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What ray casting and the projection of tetrahedra share: the rays of a picture, what a clip leaves
- * of them, the colours of a window, and several rays a pixel made one. */
+/* What ray casting and the projection of tetrahedra share: the rays of a picture, what a clip
+ * leaves of them, the colours of a window, and several rays a pixel made one. */
 #ifndef GSN_RENDER_RAYS_INTERNAL_H
 #define GSN_RENDER_RAYS_INTERNAL_H
 

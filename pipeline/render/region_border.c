@@ -39,8 +39,8 @@ static struct gsn_lattice widen(const struct gsn_lattice *at)
     return wide;
 }
 
-static int measure_distance(const struct gsn_mask *region, unsigned threads, struct gsn_border *border,
-                            struct gsn_error *err)
+static int measure_distance(const struct gsn_mask *region, unsigned threads,
+                            struct gsn_border *border, struct gsn_error *err)
 {
     const struct gsn_lattice *at = &border->at;
     const struct gsn_distance_box box = { at->nx,        at->ny,        at->nz,
@@ -67,7 +67,7 @@ static int measure_distance(const struct gsn_mask *region, unsigned threads, str
         r = gsn_distance_squared(outside, &box, threads, inner, err);
     for (size_t i = 0; r >= 0 && i < total; i++)
         border->distance[i] = inside[i] ? sqrtf(inner[i]) - (float)half
-                                     : (float)half - sqrtf(fminf(border->distance[i], 1e12F));
+                                        : (float)half - sqrtf(fminf(border->distance[i], 1e12F));
     return r;
 }
 
@@ -89,7 +89,7 @@ static void smooth_lines(float *value, size_t lines, size_t count, size_t stride
 }
 
 int gsn_border_new(const struct gsn_mask *region, unsigned threads, struct gsn_border **ret_border,
-                struct gsn_error *err)
+                   struct gsn_error *err)
 {
     gsn_auto(gsn_border) border = gsn_alloc_array(1, sizeof *border);
     size_t nx, ny, nz;

@@ -13,11 +13,11 @@ extern "C" {
 
 struct gsn_border;
 
-/* gives: the border of a region. Halfway between a voxel inside and a neighbour outside the distance is
- * 0, but for a smoothing by 0.7 voxel; beyond the region's lattice nothing is inside. Fails with
- * GSN_E_NOMEM. borrows: region. The same bytes for any number of threads. */
+/* gives: the border of a region. Halfway between a voxel inside and a neighbour outside the
+ * distance is 0, but for a smoothing by 0.7 voxel; beyond the region's lattice nothing is inside.
+ * Fails with GSN_E_NOMEM. borrows: region. The same bytes for any number of threads. */
 int gsn_border_new(const struct gsn_mask *region, unsigned threads, struct gsn_border **ret_border,
-                struct gsn_error *err);
+                   struct gsn_error *err);
 void gsn_border_free(struct gsn_border *border);
 GSN_DEFINE_AUTO(gsn_border);
 

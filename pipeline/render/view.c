@@ -4,8 +4,8 @@
  * scene is in the picture with a margin around it.
  *
  * Steps: (1) right, down and into by two cross products; (2) the middle of the scene along these,
- * and the ball around it, from which an eye keeps its distance; (3) the vertex that reaches furthest
- * in the picture gives the scale.
+ * and the ball around it, from which an eye keeps its distance; (3) the vertex that reaches
+ * furthest in the picture gives the scale.
  *
  * Failure: GSN_E_INPUT on a view without a direction or of an impossible size. Cost: three passes
  * over the vertices. */

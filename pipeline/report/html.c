@@ -6,9 +6,9 @@
  * escape (text.h).
  *
  * Steps: (1) head with the policy (html_elements.c); (2) title and contents, a link for each part
- * that is there; (3) verdict, the one figure that is asked for, cards; (4) warnings, volumes, model,
- * pictures, charts, contact sheet, lists, methods, provenance, each left out where the report has
- * nothing for it; (5) foot and script.
+ * that is there; (3) verdict, the one figure that is asked for, cards; (4) warnings, volumes,
+ * model, pictures, charts, contact sheet, lists, methods, provenance, each left out where the
+ * report has nothing for it; (5) foot and script.
  *
  * Failure: the text remembers that memory ran out, and is asked once. Cost: linear in what is
  * shown; pictures grow by a third as base64. */
@@ -358,10 +358,11 @@ static void add_pictures(struct gsn_report_text *text, const struct gsn_report *
                           report->tile ? "Picture and map" : "Pictures");
     if (!report->tile)
         gsn_report_text_raw(
-            text, "<p class=\"lead\">Good: data and model look alike, and the line of the region "
-                  "follows the tissue that it should. The line lies elsewhere: correct "
-                  "<code>region</code> in job.json. A step between rows of a cut through the stack: "
-                  "look at those sections in the contact sheet.</p>\n");
+            text,
+            "<p class=\"lead\">Good: data and model look alike, and the line of the region "
+            "follows the tissue that it should. The line lies elsewhere: correct "
+            "<code>region</code> in job.json. A step between rows of a cut through the stack: "
+            "look at those sections in the contact sheet.</p>\n");
     gsn_report_text_raw(text, "<div class=\"pictures\">\n");
     for (size_t i = 0; i < report->picture_count; i++) {
         const struct gsn_report_picture *picture = &report->pictures[i];
@@ -381,10 +382,11 @@ static void add_charts(struct gsn_report_text *text, const struct gsn_report *re
     if (!has_charts(report))
         return;
     gsn_report_text_raw(
-        text, "<section id=\"charts\"><h2>Charts</h2>\n<p class=\"lead\">Good: a level row of small "
-              "residuals. One section far above its neighbours: look at it in the contact sheet, and "
-              "leave it out by <code>gieson decide</code> if its marks are wrong. A whole panel above "
-              "the others: scan it again.</p>\n<div class=\"charts\">\n");
+        text,
+        "<section id=\"charts\"><h2>Charts</h2>\n<p class=\"lead\">Good: a level row of small "
+        "residuals. One section far above its neighbours: look at it in the contact sheet, and "
+        "leave it out by <code>gieson decide</code> if its marks are wrong. A whole panel above "
+        "the others: scan it again.</p>\n<div class=\"charts\">\n");
     if (report->registration && report->section_count > 0) {
         gsn_report_text_raw(text, "<figure><div class=\"drawing\">\n");
         gsn_chart_residuals(text, report);
@@ -412,8 +414,8 @@ static void add_foot(struct gsn_report_text *text, const struct gsn_report *repo
         gsn_report_text_raw(text,
                             ". Density is what the dye shows: young fibrils take less fuchsin than "
                             "mature collagen, and figures of different stains must not be pooled");
-    gsn_report_text_raw(text,
-                        ". This file holds everything it shows and fetches nothing.</p></footer>\n");
+    gsn_report_text_raw(
+        text, ". This file holds everything it shows and fetches nothing.</p></footer>\n");
     gsn_html_script(text, report);
     gsn_report_text_raw(text, "</body>\n</html>\n");
 }
@@ -422,8 +424,8 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
                     struct gsn_error *err)
 {
     gsn_auto_report_text text = { .bytes = NULL };
-    const unsigned scripts = (report->model ? GSN_HTML_MODEL : 0) |
-                             (report->aligned ? GSN_HTML_ALIGNMENT : 0);
+    const unsigned scripts =
+        (report->model ? GSN_HTML_MODEL : 0) | (report->aligned ? GSN_HTML_ALIGNMENT : 0);
     const int r = gsn_html_head(&text, report->specimen, "", scripts, err);
 
     if (r < 0)

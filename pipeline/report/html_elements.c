@@ -28,8 +28,12 @@ void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *p
 void gsn_html_unit(struct gsn_report_text *text, const char *unit)
 {
     static const char *const known[][2] = {
-        { "mm3", "mm\xC2\xB3" },        { "um3", "\xC2\xB5m\xC2\xB3" }, { "mm2", "mm\xC2\xB2" },
-        { "um2", "\xC2\xB5m\xC2\xB2" }, { "um", "\xC2\xB5m" },          { "percent", "%" },
+        { "mm3", "mm\xC2\xB3" },
+        { "um3", "\xC2\xB5m\xC2\xB3" },
+        { "mm2", "mm\xC2\xB2" },
+        { "um2", "\xC2\xB5m\xC2\xB2" },
+        { "um", "\xC2\xB5m" },
+        { "percent", "%" },
         { "mm2/mm3", "mm\xC2\xB2/mm\xC2\xB3" },
         { "1/mm3", "1/mm\xC2\xB3" },
     };
@@ -87,8 +91,8 @@ static int add_policy(struct gsn_report_text *text, unsigned scripts, struct gsn
     return r;
 }
 
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, unsigned scripts,
-                  struct gsn_error *err)
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind,
+                  unsigned scripts, struct gsn_error *err)
 {
     int r;
 

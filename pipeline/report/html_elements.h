@@ -25,11 +25,11 @@ extern const size_t gsn_html_alignment_script_size;
 /* Which of them a page has, as bits. */
 enum { GSN_HTML_MODEL = 1, GSN_HTML_ALIGNMENT = 2 };
 
-/* Everything up to and with <body>: the policy that nothing is fetched and that nothing runs
- * but these scripts; the title (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM.
+/* Everything up to and with <body>: the policy that nothing is fetched and that nothing runs but
+ * these scripts; the title (somebody's text, then ours), the style sheet. Fails with GSN_E_NOMEM.
  */
-int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind, unsigned scripts,
-                  struct gsn_error *err);
+int gsn_html_head(struct gsn_report_text *text, const char *name, const char *kind,
+                  unsigned scripts, struct gsn_error *err);
 
 /* Whether there is a text to show. */
 static inline int gsn_html_is_said(const char *text)

@@ -5,9 +5,9 @@
  *
  * Method: each part writes into one growing text and leaves out what the report does not have;
  * texts of people go through one escape (text.h). A state is told by a word, never by colour alone.
- * The methods say what was done to this specimen and nothing that was not: how sections were placed,
- * by which dye vectors the density is, against which baseline the loss is, and of what its interval
- * is.
+ * The methods say what was done to this specimen and nothing that was not: how sections were
+ * placed, by which dye vectors the density is, against which baseline the loss is, and of what its
+ * interval is.
  *
  * Failure: the text remembers that memory ran out, and html.c asks it once, at the end.
  * Cost: linear in the rows. */
@@ -314,10 +314,11 @@ void gsn_html_named(struct gsn_report_text *text, const struct gsn_report *repor
     if (report->named_count == 0)
         return;
     gsn_report_text_raw(
-        text, "<section id=\"regions\"><h2>Regions</h2>\n"
-              "<p class=\"lead\">Each as if it were the only one of the job; its own page, which lies "
-              "beside this one, has its cuts, its model and its warnings. A loss is against the "
-              "regions of the same name in the baseline.</p>\n");
+        text,
+        "<section id=\"regions\"><h2>Regions</h2>\n"
+        "<p class=\"lead\">Each as if it were the only one of the job; its own page, which lies "
+        "beside this one, has its cuts, its model and its warnings. A loss is against the "
+        "regions of the same name in the baseline.</p>\n");
     open_table(text, "figures",
                "<th>Region</th><th>Laid by</th><th class=\"num\">Volume, mm\xC2\xB3</th>"
                "<th class=\"num\">With data</th><th class=\"num\">Mean density</th>"
@@ -419,11 +420,12 @@ static void add_units(struct gsn_report_text *text, const struct gsn_report_unit
 void gsn_html_measures(struct gsn_report_text *text, const struct gsn_report *report)
 {
     gsn_report_text_raw(
-        text, "<section id=\"measures\"><h2>Measures</h2>\n<p class=\"lead\">All figures. Quote the "
-              "loss with its interval, the mean density and the share of the region with data; the "
-              "rest says how far to trust them. A predicted error (TRE) above the thickness of the "
-              "structures that matter: more or better marks. Names such as BV/TV are those of "
-              "ASBMR; they have no interval.</p>\n");
+        text,
+        "<section id=\"measures\"><h2>Measures</h2>\n<p class=\"lead\">All figures. Quote the "
+        "loss with its interval, the mean density and the share of the region with data; the "
+        "rest says how far to trust them. A predicted error (TRE) above the thickness of the "
+        "structures that matter: more or better marks. Names such as BV/TV are those of "
+        "ASBMR; they have no interval.</p>\n");
     open_table(text, "figures", "<th>Measure</th><th class=\"num\">Value</th><th>Unit</th>");
     if (!report->tile) {
         if (report->baseline && *report->baseline) {
@@ -530,7 +532,8 @@ static void say_loss(struct gsn_report_text *text, const struct gsn_report *repo
 
 void gsn_html_methods(struct gsn_report_text *text, const struct gsn_report *report)
 {
-    gsn_report_text_raw(text, "<section id=\"methods\"><h2>Methods, to paste</h2>\n<p class=\"lead\">");
+    gsn_report_text_raw(text,
+                        "<section id=\"methods\"><h2>Methods, to paste</h2>\n<p class=\"lead\">");
     say_sections(text, report);
     say_density(text, report);
     say_loss(text, report);

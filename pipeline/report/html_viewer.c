@@ -2,7 +2,8 @@
 
 /* The model to turn, cut and click, in the page itself: the elements that viewer.js finds by their
  * names, the model as the exporter packed it, and the script, which reads the sections from the
- * contact sheet. Without WebGL2 or without scripts one sentence shows instead, and the pictures of the page are all there is. */
+ * contact sheet. Without WebGL2 or without scripts one sentence shows instead, and the pictures of
+ * the page are all there is. */
 #include "pipeline/report/html.h"
 
 #include "pipeline/report/html_elements.h"
@@ -42,7 +43,8 @@ static void add_stage(struct gsn_report_text *text)
         "<div class=\"look\">\n<div class=\"stage\"><canvas id=\"viewer-back\" "
         "aria-hidden=\"true\"></canvas>"
         "<canvas id=\"viewer-model\" tabindex=\"0\" role=\"img\" aria-label=\"The model in three "
-        "dimensions. Arrow keys turn it, plus and minus enlarge and reduce it, Page Up and Page Down "
+        "dimensions. Arrow keys turn it, plus and minus enlarge and reduce it, Page Up and Page "
+        "Down "
         "move the cut, 0 shows it as at first.\"></canvas>"
         "<canvas id=\"viewer-front\" aria-hidden=\"true\"></canvas></div>\n"
         "<canvas id=\"viewer-scale\" role=\"img\" aria-label=\"Colour scale\"></canvas>\n</div>\n");
@@ -58,8 +60,9 @@ static void say_cells(struct gsn_report_text *text, const struct gsn_report_mode
         gsn_report_text_raw(text, " cells (micro-units) with tissue of the region, which are more "
                                   "than a page can carry: corners nearer than ");
         gsn_report_text_number(text, model->apart_um, 0);
-        gsn_report_text_raw(text, " \xC2\xB5m were drawn together, and cells that lost their volume "
-                                  "left out; a cell's figures are its own");
+        gsn_report_text_raw(text,
+                            " \xC2\xB5m were drawn together, and cells that lost their volume "
+                            "left out; a cell's figures are its own");
     } else {
         gsn_report_text_raw(text, " cells (micro-units), all that hold tissue of the region");
     }
@@ -75,10 +78,10 @@ void gsn_html_viewer(struct gsn_report_text *text, const struct gsn_report *repo
         return;
     gsn_report_text_raw(text, "<section id=\"model\"><h2>The model in three dimensions</h2>\n");
     say_cells(text, model);
-    gsn_report_text_raw(text,
-                        "<p id=\"viewer-none\">It needs scripts and WebGL2, which this browser does "
-                        "not give it. The pictures below show the same model.</p>\n"
-                        "<div id=\"viewer\" class=\"viewer\" hidden=\"\" data-unit=\"");
+    gsn_report_text_raw(
+        text, "<p id=\"viewer-none\">It needs scripts and WebGL2, which this browser does "
+              "not give it. The pictures below show the same model.</p>\n"
+              "<div id=\"viewer\" class=\"viewer\" hidden=\"\" data-unit=\"");
     gsn_report_text_escape(text, model->unit);
     gsn_report_text_raw(text, "\">\n");
     add_stage(text);

@@ -473,7 +473,8 @@ static void put_head(const struct gsn_report *report, json_t *root, struct gsn_j
                                                  : json_null());
     gsn_json_put(writer, root, "zero_density", gsn_json_figure(report->zero_density));
     gsn_json_put(writer, root, "loss_percent", gsn_json_figure(report->loss_percent));
-    gsn_json_put(writer, root, "loss_interval", json_interval(report->loss_percent, report->loss_lower, report->loss_upper,
+    gsn_json_put(writer, root, "loss_interval",
+                 json_interval(report->loss_percent, report->loss_lower, report->loss_upper,
                                report->loss_interval, writer));
     gsn_json_put(writer, root, "loss_points", gsn_json_figure(report->loss_points));
     gsn_json_put(writer, root, "loss_reason", gsn_json_text_or_null(report->loss_reason));

@@ -106,13 +106,13 @@ struct gsn_report_section {
     struct gsn_point off_um[3];  /* from there to where the section's lies */
     double tissue_apart_um;      /* from where its neighbours' tissue lays it; NaN: not compared */
     double tissue_limit_um;      /* up to which that is usual in this stack */
-    int posed; /* whether panel_to_block_um and predicted_tre_um are known */
+    int posed;                   /* whether panel_to_block_um and predicted_tre_um are known */
     struct gsn_affine panel_to_block_um;
     double predicted_tre_um;              /* over the region */
     int strained;                         /* whether the section's stretch is known */
     double strain_percent[2], strain_deg; /* longer along that direction, and across it */
     struct gsn_report_png thumbnail;
-    struct gsn_report_png aligned; /* as its pose lays it; as gsn_report_aligned says */
+    struct gsn_report_png aligned;  /* as its pose lays it; as gsn_report_aligned says */
     double outline_mm2, masked_mm2; /* reasons overlap, so their areas may sum to more */
     double region_masked;           /* share of the section's part of the region, 0..1 */
     struct gsn_report_masked masked[GSN_REPORT_REASONS];
@@ -226,16 +226,16 @@ struct gsn_report {
     enum gsn_report_verdict verdict;
     const char *verdict_reason; /* one sentence; may be empty when fine */
 
-    const char *baseline; /* name of the specimen or group; empty when there is none */
+    const char *baseline;      /* name of the specimen or group; empty when there is none */
     const char *baseline_page; /* a relative link to its report; NULL: it is a group */
-    double loss_percent;  /* relative per cent of the baseline's density; NaN: withheld */
-    double loss_points;   /* difference of the mean densities in points of density (0..100) */
+    double loss_percent;       /* relative per cent of the baseline's density; NaN: withheld */
+    double loss_points;        /* difference of the mean densities in points of density (0..100) */
     double loss_lower, loss_upper; /* its interval, per cent, where loss_interval says of what */
-    const char *loss_interval;     /* "95 %, stain, white and sections"; NULL: no interval is known */
-    const char *loss_reason;       /* why it is withheld */
-    double baseline_mean;          /* density */
-    double baseline_volume_mm3;    /* of its region, where that has another size; 0: it has not */
-    double zero_density; /* that no collagen reads as, from which both are counted; NaN: 0 */
+    const char *loss_interval;  /* "95 %, stain, white and sections"; NULL: no interval is known */
+    const char *loss_reason;    /* why it is withheld */
+    double baseline_mean;       /* density */
+    double baseline_volume_mm3; /* of its region, where that has another size; 0: it has not */
+    double zero_density;        /* that no collagen reads as, from which both are counted; NaN: 0 */
 
     const char *density_name;            /* "collagen-equivalent density" */
     const char *density_version;         /* "van-gieson-gvp-1" */
@@ -277,9 +277,9 @@ struct gsn_report {
     size_t parameter_count;
 };
 
-/* give: the bytes, and a zero byte behind them that is not counted. docs/user/report.md is the schema of
- * the first; the second is one HTML file that fetches nothing.
- * Bytes of a text that are not UTF-8 become U+FFFD. Fail with GSN_E_NOMEM. */
+/* give: the bytes, and a zero byte behind them that is not counted. docs/user/report.md is the
+ * schema of the first; the second is one HTML file that fetches nothing. Bytes of a text that are
+ * not UTF-8 become U+FFFD. Fail with GSN_E_NOMEM. */
 int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *ret_size,
                     struct gsn_error *err);
 int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *ret_size,

@@ -36,7 +36,8 @@ struct gsn_aligned_pictures {
     double um_per_px;
     unsigned side_px;
     size_t count;
-    struct gsn_image **laid; /* owned; of each section, NULL: not shown, or its panel did not come */
+    struct gsn_image *
+        *laid; /* owned; of each section, NULL: not shown, or its panel did not come */
 };
 
 /* Those in the model, whether or not a person should look at them: here it is that one looks. */
@@ -119,7 +120,8 @@ static int code_all(const struct gsn_aligned_pictures *pictures, int quality,
         if (!pictures->laid[i])
             continue;
         gsn_free(coded->png);
-        *coded = (struct gsn_png_picture){ .width = pictures->side_px, .height = pictures->side_px };
+        *coded =
+            (struct gsn_png_picture){ .width = pictures->side_px, .height = pictures->side_px };
         r = gsn_jpeg_encode(pictures->laid[i], &style, &coded->png, &coded->size, err);
         if (r < 0)
             return r;
@@ -137,8 +139,8 @@ int gsn_aligned_pictures_code(const struct gsn_aligned_pictures *pictures,
 
     if (!pictures)
         return GSN_OK;
-    for (size_t i = 0; r >= 0 && bytes > GSN_ALIGNED_BYTES && i < sizeof QUALITIES / sizeof *QUALITIES;
-         i++)
+    for (size_t i = 0;
+         r >= 0 && bytes > GSN_ALIGNED_BYTES && i < sizeof QUALITIES / sizeof *QUALITIES; i++)
         r = code_all(pictures, QUALITIES[i], densities, &bytes, err);
     if (r < 0)
         return r;

@@ -120,8 +120,8 @@ static const double CLOUD = 0.003;
 
 enum { ROUNDS = 5, MOST_UNKNOWNS = 150000, MOST_CELLS = 2000000 };
 
-/* Bounds of the model's volumes lie this near to each other: five times nearer than the tissue's own
- * volume is ever known. At 0.001 they took a quarter of a specimen's time. */
+/* Bounds of the model's volumes lie this near to each other: five times nearer than the tissue's
+ * own volume is ever known. At 0.001 they took a quarter of a specimen's time. */
 static const double VOLUME_GAP = 0.005;
 
 /* What layers along walls may cost: no more unknowns than the samples carry, at so many a vertex of
@@ -189,7 +189,8 @@ static size_t gather_colours(const struct voxels *v, const struct gsn_colour_gri
     return n;
 }
 
-/* True colour as equation (4) asks: three more splines of the same space, as smooth as the density. */
+/* True colour as equation (4) asks: three more splines of the same space, as smooth as the
+ * density. */
 static int fit_colours(const struct voxels *v, const struct gsn_analysis_options *options,
                        struct gsn_analysis *analysis, struct gsn_error *err)
 {
@@ -454,9 +455,9 @@ static void find_scene(const struct gsn_mask *region, struct gsn_block_box_um *b
     gsn_mask_box(region, box->low, box->high);
     for (int k = 0; k < 8; k++)
         for (int c = 0; c < 3; c++)
-            ret_corner[k][c] = 0.5 * (box->low[c] + box->high[c]) +
-                               0.5 * (k >> c & 1 ? 1 : -1) * (box->high[c] - box->low[c]) /
-                                   GSN_BLOCK_AXES_SHARE;
+            ret_corner[k][c] =
+                0.5 * (box->low[c] + box->high[c]) +
+                0.5 * (k >> c & 1 ? 1 : -1) * (box->high[c] - box->low[c]) / GSN_BLOCK_AXES_SHARE;
 }
 
 /* Of the region alone, whose border is smooth; several rays a pixel make it so in the picture. */
@@ -497,8 +498,8 @@ static int draw_xray(const struct gsn_mask *region, const struct gsn_border *bor
 }
 
 static int draw_surface(const struct gsn_mask *region, const struct gsn_border *border,
-                        const struct gsn_analysis_options *options,
-                        struct gsn_analysis *analysis, struct gsn_error *err)
+                        const struct gsn_analysis_options *options, struct gsn_analysis *analysis,
+                        struct gsn_error *err)
 {
     struct gsn_png_picture *picture = next_picture(analysis, "isosurface", "Isosurface");
     struct gsn_isosurface_options wanted = {
@@ -576,8 +577,7 @@ static int make_analysis(const struct voxels *v, const struct gsn_grid *grid,
 
     analysis->coverage = (double)v->count / (double)v->region;
     if (analysis->coverage < LEAST_COVERAGE)
-        return gsn_fail(err, GSN_E_WITHHELD,
-                        "only %.0f %% of the region of interest has data: %s",
+        return gsn_fail(err, GSN_E_WITHHELD, "only %.0f %% of the region of interest has data: %s",
                         100 * analysis->coverage,
                         protocol->kind == GSN_KIND_SECTIONS
                             ? "look at the sections marked missing or held"

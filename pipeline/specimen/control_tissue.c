@@ -431,8 +431,8 @@ static double zero_variance(const struct gsn_normalisation *l)
 /* Vectors that were taken as exact are not: each panel's bath turns them a little, and yellow that
  * counts as red is an offset. The mean over the region's panels keeps a share of independent turns.
  * Where they put density 0 the offsets say themselves. */
-static void judge_scatter(const struct gsn_vector_error *tissue, const struct gsn_vector_error *region,
-                          struct gsn_normalisation *l)
+static void judge_scatter(const struct gsn_vector_error *tissue,
+                          const struct gsn_vector_error *region, struct gsn_normalisation *l)
 {
     double covariance[GSN_DYE_ROTATIONS][GSN_DYE_ROTATIONS] = { { 0 } }, kept = 0;
 
@@ -468,7 +468,8 @@ static int judge_turns(const struct tissue_field *f, const struct gsn_vector_err
         return GSN_OK;
     }
     mean_covariance(f->d, scale, covariance);
-    scale->levelling.vectors = gsn_vector_error_left_of(tissue, GSN_CONTROL_KINDS, &region, covariance);
+    scale->levelling.vectors =
+        gsn_vector_error_left_of(tissue, GSN_CONTROL_KINDS, &region, covariance);
     return GSN_OK;
 }
 

@@ -69,8 +69,8 @@ int gsn_densities_crop_colour(struct gsn_densities *d, struct gsn_error *err)
 int gsn_stack_light_table(enum gsn_light light, unsigned bits,
                           struct gsn_stack_light_table *ret_light, struct gsn_error *err)
 {
-    /* Codes of which nobody says that they follow a curve are shown as they are, as any viewer shows
-     * the scan and the contact sheet does. */
+    /* Codes of which nobody says that they follow a curve are shown as they are, as any viewer
+     * shows the scan and the contact sheet does. */
     const enum gsn_light shown = light == GSN_LIGHT_CODES_LINEAR ? light : GSN_LIGHT_SRGB;
     const size_t samples = (size_t)1 << bits, steps = GSN_STACK_FULL_LIGHT / 4 + 1;
     struct gsn_stack_light_table made = { gsn_alloc(samples * sizeof(uint16_t)), gsn_alloc(steps) };
@@ -99,8 +99,8 @@ void gsn_stack_light_table_done(struct gsn_stack_light_table *light)
     gsn_free(light->code);
 }
 
-/* Shown at half its size, so that it can be enlarged; MANY of them weigh a megabyte in the page, and
- * so do more. */
+/* Shown at half its size, so that it can be enlarged; MANY of them weigh a megabyte in the page,
+ * and so do more. */
 enum { THUMBNAIL_PX = 264, THUMBNAIL_QUALITY = 85, MANY = 60 };
 
 /* A hundredth of the tissue clipped is told; of a fifth the mean of what is left says little, for
@@ -215,12 +215,14 @@ static int resample_density(const struct panel_work *work, size_t i, struct gsn_
 
     if (!gsn_stack_footprint(&grid->at, work->specimen->protocol->interval_um, &section))
         return GSN_OK;
-    r = gsn_collagen_box(work->reader,
-                    &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height },
-                    1, &density, err);
+    r = gsn_collagen_box(
+        work->reader,
+        &(struct gsn_pixel_box){ section.x, section.y, section.width, section.height }, 1, &density,
+        err);
     if (r < 0)
         return r;
-    gsn_artefact_apply(work->labels, gsn_masking_index(work->poses, i), section.x, section.y, density);
+    gsn_artefact_apply(work->labels, gsn_masking_index(work->poses, i), section.x, section.y,
+                       density);
     section.density = density;
     section.plane_x = section.x;
     section.plane_y = section.y;
@@ -253,7 +255,7 @@ static int see_section(const struct panel_work *work, size_t i, unsigned apart,
         struct gsn_plane row = { density->width, 1, density->value + (size_t)y * density->width };
 
         gsn_artefact_apply(work->labels, gsn_masking_index(work->poses, i), seen->x,
-                       seen->y + (int)(y * apart), &row);
+                           seen->y + (int)(y * apart), &row);
     }
     *ret_density = gsn_steal(&density);
     return GSN_OK;

@@ -610,14 +610,14 @@ void gsn_scale_done(struct gsn_scale *scale)
 
 /* What brings a panel's density to the common scale: (density - offset) / gain. */
 static struct gsn_gain_offset level_of(const struct gsn_densities *d, const struct gsn_scale *scale,
-                                 const struct gsn_panel_scale *panel)
+                                       const struct gsn_panel_scale *panel)
 {
     if (panel->levelled)
         return panel->level;
-    return (struct gsn_gain_offset){ scale->by_standards || (d->tissue_grid && !scale->not_comparable[0])
-                                   ? panel->gain.gain
-                                   : 1,
-                               0 };
+    return (struct gsn_gain_offset){
+        scale->by_standards || (d->tissue_grid && !scale->not_comparable[0]) ? panel->gain.gain : 1,
+        0
+    };
 }
 
 /* Density by the panel's own vectors, and what is to be added to it. */

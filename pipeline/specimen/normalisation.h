@@ -20,24 +20,25 @@ enum gsn_control_tissue {
 
 /* What of the panels was compared, and with which tissue other specimens can be. */
 struct gsn_normalisation {
-    int done;                       /* whether the panels could be compared with each other */
+    int done;                      /* whether the panels could be compared with each other */
     struct gsn_gain_fit fit;       /* of the steps between them */
-    size_t panels;                  /* that were compared */
+    size_t panels;                 /* that were compared */
     double share[GSN_GAIN_PANELS]; /* of the region's voxels with data, by place; they sum to 1 */
-    struct gsn_control_tissues tissues; /* by enum gsn_control_tissue, on the panels' common scale */
-    double yellow[GSN_CONTROL_TISSUES]; /* of them in the region's planes, OD; NaN: not seen */
-    struct gsn_vector_error_left vectors;   /* what the dye vectors leave open beside those tissues */
-    struct gsn_vector_scatter turns;  /* where the vectors were taken as exact: what they turn by
+    struct gsn_control_tissues
+        tissues; /* by enum gsn_control_tissue, on the panels' common scale */
+    double yellow[GSN_CONTROL_TISSUES];   /* of them in the region's planes, OD; NaN: not seen */
+    struct gsn_vector_error_left vectors; /* what the dye vectors leave open beside those tissues */
+    struct gsn_vector_scatter turns; /* where the vectors were taken as exact: what they turn by
                                          from panel to panel; vectors is then per rad^2 of it */
-    char why[480];                    /* why not done, or empty */
+    char why[480];                   /* why not done, or empty */
 };
 
 /* How one panel's densities were changed. */
 struct gsn_panel_scale {
-    struct gsn_stain_gain gain; /* what they were divided by */
-    int levelled;               /* whether it was compared with the panels beside it */
-    size_t place;               /* then, along the block among those that were; 0-based */
-    struct gsn_gain_offset level;     /* they were: minus offset, divided by gain */
+    struct gsn_stain_gain gain;   /* what they were divided by */
+    int levelled;                 /* whether it was compared with the panels beside it */
+    size_t place;                 /* then, along the block among those that were; 0-based */
+    struct gsn_gain_offset level; /* they were: minus offset, divided by gain */
 };
 
 struct gsn_scale {
@@ -57,7 +58,7 @@ struct gsn_scale {
     struct gsn_cloud *cloud; /* owned; the colours of its tissue on the panels' common scale; NULL
                                 as the coarse grid is */
     double region_od[3];     /* mean R, G and B of the region's tissue on it; NaN: none is seen */
-    double free_od[3]; /* of the stated tissue without collagen; NaN: none is stated, or seen */
+    double free_od[3];  /* of the stated tissue without collagen; NaN: none is stated, or seen */
     double free_panels; /* that it lies in, counted by its cells; 0: in none */
 };
 

@@ -290,7 +290,8 @@ static int is_region_name(const char *name)
     const size_t length = strlen(name);
 
     return length >= 1 && length <= 40 &&
-           strspn(name, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_") == length;
+           strspn(name, "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-_") ==
+               length;
 }
 
 /* Regions beside the main one. */
@@ -885,7 +886,8 @@ static int read_all(const json_t *job, struct gsn_protocol *p, struct gsn_error 
         (r = read_count(job, "panels", MOST_PANELS, &p->panels, err)) < 0 ||
         (r = read_count(job, "sections", MOST_SECTIONS, &p->sections, err)) < 0 ||
         (r = read_layout(job, p, err)) < 0 || (r = read_markers(job, p, err)) < 0 ||
-        (r = read_thresholds(job, p, err)) < 0 || (r = read_region(job, "region", &p->region, err)) < 0 ||
+        (r = read_thresholds(job, p, err)) < 0 ||
+        (r = read_region(job, "region", &p->region, err)) < 0 ||
         (r = read_named(job, p, err)) < 0 ||
         (r = read_strain(job, p, err)) < 0 || (r = read_registration(job, p, err)) < 0 ||
         (r = read_light(job, p, err)) < 0 || (r = read_stain(job, p, err)) < 0)

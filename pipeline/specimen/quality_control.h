@@ -23,10 +23,12 @@ int gsn_masking_tissue(const struct gsn_scan *scan, unsigned panel, const struct
 
 /* gives: the labels of the panel's sections (stain/artefact/detection.h), in their order. Ink is
  * what neither `dyes` nor, where all sections show it, the panel's own tissue explains.
- * ret_figures: room for as many sections as there are. borrows: all. Fails as gsn_artefact_find(). */
+ * ret_figures: room for as many sections as there are. borrows: all. Fails as
+ * gsn_artefact_find(). */
 int gsn_masking_label(const struct gsn_scan *scan, const struct gsn_dyes *dyes, unsigned panel,
                       unsigned threads, const struct gsn_poses *poses,
-                      const struct gsn_section_marks *marks, struct gsn_artefact_labels **ret_labels,
+                      const struct gsn_section_marks *marks,
+                      struct gsn_artefact_labels **ret_labels,
                       struct gsn_artefact_figures *ret_figures, struct gsn_error *err);
 
 /* The same, kept: fills `masked` of the panel's sections, adds a flag for each reason but the halos
@@ -42,9 +44,9 @@ size_t gsn_masking_index(const struct gsn_poses *poses, size_t i);
 
 /* Counts, for each posed section of the panel, what share of its part of the region is masked,
  * voxel by voxel. Nothing where region is NULL. */
-void gsn_masking_region(const struct gsn_artefact_labels *labels, unsigned panel, double interval_um,
-                        const struct gsn_mask *region, const struct gsn_poses *poses,
-                        struct gsn_densities *densities);
+void gsn_masking_region(const struct gsn_artefact_labels *labels, unsigned panel,
+                        double interval_um, const struct gsn_mask *region,
+                        const struct gsn_poses *poses, struct gsn_densities *densities);
 
 /* The same where the region is known only after the stack was made: the share of each section's
  * part of the region that has no density, whatever the reason. */

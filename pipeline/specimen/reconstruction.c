@@ -4,10 +4,10 @@
  *
  * 1. Every slot that the job expects or that came becomes a section (poses.c).
  * 2. The region and the lattice around it (region.c).
- * 3. Poses: by marks, all sections together (poses.c), by the tissue of neighbours where marks place
- * none (tissue_poses.c); then the extent of what is posed, on which later lattices of the whole
- * block rest, and refinement by tissue where the job asks for it (tissue_refinement.c). What cannot
- * be placed is a state with a reason.
+ * 3. Poses: by marks, all sections together (poses.c), by the tissue of neighbours where marks
+ * place none (tissue_poses.c); then the extent of what is posed, on which later lattices of the
+ * whole block rest, and refinement by tissue where the job asks for it (tissue_refinement.c). What
+ * cannot be placed is a state with a reason.
  * 4. Every panel is opened once more: masks, quality control, density and colour, resampled into
  * the stack; what is told by comparing sections or panels is gathered on the way (density_stack.c).
  * 5. The panels are brought to one scale (normalisation.c), a band is looked for, and what the

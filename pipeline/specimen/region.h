@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The region of interest: a mask file, outlines drawn on sections, a shape, or a band about a body; and the lattice of the
- * stack around it. Lengths are micrometres in the block frame. */
+/* The region of interest: a mask file, outlines drawn on sections, a shape, or a band about a body;
+ * and the lattice of the stack around it. Lengths are micrometres in the block frame. */
 #ifndef GSN_SPECIMEN_REGION_H
 #define GSN_SPECIMEN_REGION_H
 
@@ -11,9 +11,9 @@
 #include "pipeline/stain/tissue_segmentation.h"
 
 enum gsn_region_kind {
-    GSN_REGION_NONE, /* not stated: everything that has data (volumes), or withheld (sections) */
+    GSN_REGION_NONE,  /* not stated: everything that has data (volumes), or withheld (sections) */
     GSN_REGION_DRAWN, /* a file of outlines (drawn_region.h), read as a mask */
-    GSN_REGION_MASK, /* a file */
+    GSN_REGION_MASK,  /* a file */
     GSN_REGION_BOX,
     GSN_REGION_CYLINDER, /* axis along z */
     GSN_REGION_SPHERE,
@@ -35,8 +35,8 @@ struct gsn_region {
 
 void gsn_region_done(struct gsn_region *region);
 
-/* Whether it is said in coordinates of the block's x and y: a mask, outlines, a shape, a band from a file or
- * within a cylinder. */
+/* Whether it is said in coordinates of the block's x and y: a mask, outlines, a shape, a band from
+ * a file or within a cylinder. */
 int gsn_region_has_coordinates(const struct gsn_region *region);
 
 /* The rule that lays it, in words without coordinates, which are each animal's own: a mask by its

@@ -605,10 +605,11 @@ static const char *no_baseline(const struct gsn_report_inputs *e, struct gsn_bui
     const struct gsn_specimen_baseline *b = &e->specimen->baseline;
 
     if (b->lacking > 0)
-        return gsn_builder_say(d,
-                               "the baseline %s has no region \"%s\": state it under \"regions\" in "
-                               "its job.json too, import it with --replace, then run again",
-                               b->name, e->specimen->part);
+        return gsn_builder_say(
+            d,
+            "the baseline %s has no region \"%s\": state it under \"regions\" in "
+            "its job.json too, import it with --replace, then run again",
+            b->name, e->specimen->part);
     if (b->withheld == 0)
         return gsn_builder_say(d, "the baseline %s has no result yet: import and run it", b->name);
     return gsn_builder_say(
@@ -694,9 +695,8 @@ static void print_loss(const struct gsn_loss *loss, int narrowed, struct gsn_rep
     if (loss->has_interval) {
         r->loss_lower = loss->percent_low;
         r->loss_upper = loss->percent_high;
-        r->loss_interval =
-            narrowed ? "95 %, stain, white, dye vectors and sections"
-                     : "95 %, stain, white and sections";
+        r->loss_interval = narrowed ? "95 %, stain, white, dye vectors and sections"
+                                    : "95 %, stain, white and sections";
     }
     r->loss_percent = loss->percent;
     r->loss_points = loss->points;

@@ -12,9 +12,9 @@
 #include "pipeline/specimen/scan.h"
 #include "pipeline/stain/flat_field.h"
 
-/* gives: a picture of at most longest_px of this box of a scan (RGB), with the marks ringed, as JPEG
- * of this quality; 0: as PNG. light: what its samples mean. The box lies inside the image. Fails
- * with GSN_E_NOMEM. */
+/* gives: a picture of at most longest_px of this box of a scan (RGB), with the marks ringed, as
+ * JPEG of this quality; 0: as PNG. light: what its samples mean. The box lies inside the image.
+ * Fails with GSN_E_NOMEM. */
 int gsn_thumbnail(const struct gsn_image *image, enum gsn_light light, int x, int y, int width,
                   int height, const struct gsn_fiducial mark[GSN_FIDUCIALS], unsigned longest_px,
                   int quality, struct gsn_png_picture *ret_picture, struct gsn_error *err);

@@ -143,7 +143,8 @@ void gsn_dyes_describe(const struct gsn_dyes_prior *prior, struct gsn_dyes_fit *
     fit->moved_deg[2] = gsn_dyes_angle_deg(a->dark, b->dark);
     for (int k = 0; k < 3; k++)
         fit->deviation_deg[k] =
-            sqrt(fit->covariance[2 * k][2 * k] + fit->covariance[2 * k + 1][2 * k + 1]) / GSN_RADIANS;
+            sqrt(fit->covariance[2 * k][2 * k] + fit->covariance[2 * k + 1][2 * k + 1]) /
+            GSN_RADIANS;
 }
 
 struct gsn_dyes_fit gsn_dyes_as_stated(const struct gsn_dyes_prior *prior)

@@ -328,7 +328,7 @@ int gsn_dyes_estimate(const struct gsn_stain_sample *sample, const struct gsn_dy
     search.sample = few;
     search.weight = fmin(1, INDEPENDENT / (double)few->count);
     for (int m = 0; m < GSN_DYE_ROTATIONS; m++)
-        search.precision[m] =
-            1 / (prior->deviation_deg[m / 2] * GSN_RADIANS * prior->deviation_deg[m / 2] * GSN_RADIANS);
+        search.precision[m] = 1 / (prior->deviation_deg[m / 2] * GSN_RADIANS *
+                                   prior->deviation_deg[m / 2] * GSN_RADIANS);
     return fit_turns(&search, prior, ret_fit, err);
 }

@@ -5,9 +5,9 @@
  * From the top: how many specimens there are and how they stand; what needs a person, each with its
  * first cause; then a table a study, a row a specimen: group, week, loss with its interval in
  * figures and drawn on one scale for the whole page, density, warnings, day of the report. A blind
- * study shows what its own records show, which is neither groups nor losses. Last what the bench was
- * like from day to day. Nothing is fetched and
- * nothing runs. Fails only when memory runs out. Costs a line of text a specimen. */
+ * study shows what its own records show, which is neither groups nor losses. Last what the bench
+ * was like from day to day. Nothing is fetched and nothing runs. Fails only when memory runs out.
+ * Costs a line of text a specimen. */
 #include "pipeline/study/index_page.h"
 
 #include "pipeline/report/chart.h"
@@ -274,10 +274,11 @@ static void add_bench(struct gsn_report_text *text, const struct gsn_index_study
             continue;
         if (drawn++ == 0)
             gsn_report_text_raw(
-                text, "<section>\n<h2>The bench, day by day</h2>\n<p class=\"lead\">One dot a "
-                      "specimen, on the day of its first report; the line is their median. A step or "
-                      "a slope in all of them is the scanner, the bath or the laser, not the "
-                      "animals.</p>\n<div class=\"charts\">\n");
+                text,
+                "<section>\n<h2>The bench, day by day</h2>\n<p class=\"lead\">One dot a "
+                "specimen, on the day of its first report; the line is their median. A step or "
+                "a slope in all of them is the scanner, the bath or the laser, not the "
+                "animals.</p>\n<div class=\"charts\">\n");
         gsn_report_text_raw(text, "<figure class=\"drawing\">\n");
         gsn_chart_days(text, figure[k].what, figure[k].unit, dot, specimens);
         gsn_report_text_raw(text, "</figure>\n");

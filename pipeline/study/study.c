@@ -5,11 +5,12 @@
  * Method. 1. Specimens that take part are sorted by group (controls first), time point, animal and
  * name, so that their order does not matter. 2. Those of one animal in one group at one time point
  * become their mean. 3. Animals of a group at a time point are a cell, with mean, spread and
- * interval. 4. Each cell of a treated group is compared with its control at the same time point,
- * or with the control of all time points where there is none; treated groups are compared with each
+ * interval. 4. Each cell of a treated group is compared with its control at the same time point, or
+ * with the control of all time points where there is none; treated groups are compared with each
  * other at each time point. 5. Welch's p is corrected by Holm over all comparisons of one kind and
- * measure, those of further regions among them. 6. The variance of a loss is split into what animals differ by and what measuring them
- * adds: the spread seen between animals holds both, so the animals' own is what is left, or none.
+ * measure, those of further regions among them. 6. The variance of a loss is split into what
+ * animals differ by and what measuring them adds: the spread seen between animals holds both, so
+ * the animals' own is what is left, or none.
  *
  * Failure: groups without animals, animals without spread and measures that nobody has leave NaN.
  * Cost: sorting, and the exact permutations (inference.h). */
@@ -371,8 +372,8 @@ static int add_treatments(struct gsn_study *study, struct sides *sides, struct g
     return r;
 }
 
-/* The comparisons of one kind and measure, of this region and of its parts: their p into the list (back:
- * out of it again). Returns how many. */
+/* The comparisons of one kind and measure, of this region and of its parts: their p into the list
+ * (back: out of it again). Returns how many. */
 static size_t pass_p(struct gsn_study *study, enum gsn_study_kind kind, size_t measure, int back,
                      double *p)
 {

@@ -44,9 +44,9 @@ struct gsn_study_specimen {
     const char *name, *animal, *group;
     double week;         /* NaN: not stated */
     const char *control; /* the group that its loss is measured against; NULL: it is a control */
-    double value[GSN_STUDY_MEASURES];    /* in the order of the study's measures; NaN: none */
-    double error[GSN_STUDY_MEASURES];    /* standard error of the measurement; NaN: not known */
-    double vector_error;                 /* the part of error[0] that dye vectors make; NaN: none */
+    double value[GSN_STUDY_MEASURES]; /* in the order of the study's measures; NaN: none */
+    double error[GSN_STUDY_MEASURES]; /* standard error of the measurement; NaN: not known */
+    double vector_error;              /* the part of error[0] that dye vectors make; NaN: none */
     double section_error; /* that which sections make, each by itself: cutting, registration; NaN */
     double loss, loss_lower, loss_upper; /* its own report's, per cent; NaN: none */
     const char *left_out;                /* why it takes no part; NULL: it does */
@@ -56,7 +56,7 @@ struct gsn_study_specimen {
     int64_t finished; /* when that was made, s since 1970; 0: there is none */
     int64_t first;    /* and its first report, near the day of its scans; 0: there is none */
     double bench[GSN_BENCH_FIGURES]; /* what the bench was like; NaN: not known */
-    const char *key;  /* of its run, 64 hexadecimal digits, or empty */
+    const char *key;                 /* of its run, 64 hexadecimal digits, or empty */
 };
 
 struct gsn_study_input {
@@ -68,7 +68,8 @@ struct gsn_study_input {
     size_t specimen_count;
     int blind;          /* group names are codes, nobody is a control */
     const char *frozen; /* "2026-11-25, by mueller", or NULL */
-    const struct gsn_study_input *part; /* the same study in further regions, each with the name of its
+    const struct gsn_study_input
+        *part; /* the same study in further regions, each with the name of its
                                            region; without parts; their measures are the first of
                                            this one's */
     size_t part_count;
@@ -101,8 +102,8 @@ enum gsn_study_kind {
 };
 
 /* Which part of the variance of a loss is whose; per cent squared, NaN where there is no loss. The
- * parts add up to total: measuring takes no more than all of the spread that is seen. Where no error
- * of measurement is known, its parts are NaN and the animals' hold them. */
+ * parts add up to total: measuring takes no more than all of the spread that is seen. Where no
+ * error of measurement is known, its parts are NaN and the animals' hold them. */
 struct gsn_study_share {
     double animals;     /* true spread, over the number of animals */
     double vectors;     /* dye vectors */
@@ -125,7 +126,8 @@ struct gsn_study_comparison {
     struct gsn_group_loss loss; /* NaN for kind TREATMENT */
     double p_exact;             /* permutation; NaN: too few or too many animals */
     double p_least;             /* that permutation could reach */
-    double p_holm; /* Welch's p, corrected over all comparisons of kind and measure, of all regions */
+    double
+        p_holm; /* Welch's p, corrected over all comparisons of kind and measure, of all regions */
     struct gsn_study_budget budget;
 };
 

@@ -384,12 +384,12 @@ static void add_part(struct gsn_report_text *text, const struct gsn_study *part)
         left_out += part->input.specimen[i].left_out != NULL;
     gsn_report_text_raw(text, "<section>\n<h2>Region ");
     gsn_report_text_escape(text, part->input.region);
-    gsn_report_text_print(text,
-                          "</h2>\n<p class=\"lead\">Density, as above; Holm p counts the comparisons "
-                          "of all regions.");
+    gsn_report_text_print(
+        text, "</h2>\n<p class=\"lead\">Density, as above; Holm p counts the comparisons "
+              "of all regions.");
     if (left_out > 0)
-        gsn_report_text_print(text, " %zu %s no figure here; animals.csv has the reasons.", left_out,
-                              left_out == 1 ? "specimen has" : "specimens have");
+        gsn_report_text_print(text, " %zu %s no figure here; animals.csv has the reasons.",
+                              left_out, left_out == 1 ? "specimen has" : "specimens have");
     gsn_report_text_raw(text, " animals.csv has the volumes.</p>\n");
     open_table(text, heads, sizeof heads / sizeof heads[0]);
     for (size_t i = 0; i < part->comparison_count; i++)

@@ -2,10 +2,11 @@
 
 /* A study for programs: long-format CSV and study.json.
  *
- * CSV as RFC 4180 has it: names in the first line, a row an animal, region and measure, texts in quotes.
- * Figures have nine significant digits, which is what R, pandas and Prism read without loss of
- * anything measured; what does not exist is an empty field, which they read as NA. A specimen that
- * takes no part has a row a measure without a value, and why. Fails only when memory runs out. */
+ * CSV as RFC 4180 has it: names in the first line, a row an animal, region and measure, texts in
+ * quotes. Figures have nine significant digits, which is what R, pandas and Prism read without loss
+ * of anything measured; what does not exist is an empty field, which they read as NA. A specimen
+ * that takes no part has a row a measure without a value, and why. Fails only when memory runs
+ * out. */
 #include "pipeline/study/study.h"
 
 #include "pipeline/report/json.h"

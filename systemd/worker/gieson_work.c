@@ -111,7 +111,8 @@ static const struct argp_option options[] = {
     { "power", OPT_POWER, "P", 0, "plan: how surely it is to be found (default 0.8)", 1 },
     { "level", OPT_LEVEL, "V", 0, "export: of a surface; integral: may be given up to 8 times", 1 },
     { "step", OPT_STEP, "UM", 0, "export: size of a volume's voxels, of a surface's edges", 1 },
-    { "whole", OPT_WHOLE, NULL, 0, "export, render, integral: the whole domain, not the region", 1 },
+    { "whole", OPT_WHOLE, NULL, 0, "export, render, integral: the whole domain, not the region",
+      1 },
     { "box", OPT_BOX, "X1,Y1,Z1,X2,Y2,Z2", 0,
       "integral: over the region in a box; render: what of it is shown", 1 },
     { "plane", OPT_PLANE, "X,Y,Z,NX,NY,NZ", 0,
@@ -331,10 +332,10 @@ int main(int argc, char **argv)
     while (i < sizeof verbs / sizeof verbs[0] && strcmp(verbs[i].verb, request.verb) != 0)
         i++;
     if (i == sizeof verbs / sizeof verbs[0])
-        status = gsn_work_usage(&request,
-                                "this verb is not known: import, work, changed, verify, scrub, "
-                                "backup, restore, check, register, study, plan, export, render, probe, "
-                                "line, integral or index");
+        status = gsn_work_usage(
+            &request, "this verb is not known: import, work, changed, verify, scrub, "
+                      "backup, restore, check, register, study, plan, export, render, probe, "
+                      "line, integral or index");
     else if (verbs[i].needs_store && (!request.store_dir || !request.store_dir[0]))
         status = gsn_work_usage(&request, "no store: say --store DIR or set GIESON_STORE");
     else

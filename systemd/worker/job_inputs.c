@@ -68,7 +68,7 @@ struct gsn_job_inputs {
     struct gsn_grid *volume;
     struct gsn_specimen_region named[GSN_MOST_REGIONS];
     struct taken taken[1 + GSN_MOST_REGIONS]; /* of the main region, and of each named one */
-    char *page; /* of the baseline */
+    char *page;                               /* of the baseline */
     json_t *baseline_keys;
     char *inputs;
     struct gsn_digest key, own_key;
@@ -143,8 +143,7 @@ static int read_mask(const struct gsn_region *region, const char *folder, double
     if (region->kind != GSN_REGION_DRAWN)
         return gsn_volume_read_mask(path, MOST_VOLUME_BYTES, unit_um, ret_mask, err);
     r = gsn_file_read(path, GSN_DRAWN_MOST_BYTES, &text, &size, err);
-    return r < 0 ? r
-                 : gsn_drawn_region_read(region, (const char *)text, size, ret_mask, said, err);
+    return r < 0 ? r : gsn_drawn_region_read(region, (const char *)text, size, ret_mask, said, err);
 }
 
 static int read_volumes(struct gsn_job_inputs *m, const char *folder, struct gsn_error *err)
@@ -314,15 +313,15 @@ char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *
     return text;
 }
 
-/* A run's parameters: its own, or those of a region of that name; NULL where an older version wrote none
- * or there is no such region. Borrowed. */
+/* A run's parameters: its own, or those of a region of that name; NULL where an older version wrote
+ * none or there is no such region. Borrowed. */
 static const json_t *find_parameters(const json_t *root, const char *region)
 {
     return region ? json_object_get(json_object_get(root, "regions"), region) : root;
 }
 
-/* A text of parameters ("definition", "dyes", "region", "own_key"), or "" where there is none. gives;
- * NULL: out of memory. */
+/* A text of parameters ("definition", "dyes", "region", "own_key"), or "" where there is none.
+ * gives; NULL: out of memory. */
 static char *read_parameter(const json_t *parameters, const char *name)
 {
     const char *text = json_string_value(json_object_get(parameters, name));

@@ -175,10 +175,10 @@ static double read_white(const json_t *root)
 
     json_array_foreach(json_object_get(root, "panels"), i, panel)
         json_array_foreach(json_object_get(panel, "white"), c, code)
-        {
-            sum += json_number_value(code);
-            count++;
-        }
+    {
+        sum += json_number_value(code);
+        count++;
+    }
     return count ? sum / (double)count : NAN;
 }
 
@@ -225,9 +225,9 @@ static void read_volumes(struct gsn_study_files *f, const json_t *root,
             continue;
         }
         s->value[2 + t] = read_number(row, "estimate_mm3");
-        s->error[2 + t] = (read_number(row, "interval_upper_mm3") -
-                           read_number(row, "interval_lower_mm3")) /
-                          (2 * TWO_SIDED_95);
+        s->error[2 + t] =
+            (read_number(row, "interval_upper_mm3") - read_number(row, "interval_lower_mm3")) /
+            (2 * TWO_SIDED_95);
     }
 }
 
@@ -313,7 +313,8 @@ static int read_baseline(struct gsn_study_files *f, struct gsn_store *store,
                          const struct gsn_specimen_row *row, double *ret_density,
                          const char **ret_group, struct gsn_error *err)
 {
-    const int is_own = strcmp(row->baseline, row->group) == 0 || strcmp(row->baseline, row->name) == 0;
+    const int is_own =
+        strcmp(row->baseline, row->group) == 0 || strcmp(row->baseline, row->name) == 0;
     int r;
 
     if (f->baseline && !is_own && strcmp(f->baseline, row->baseline) == 0) {
@@ -398,7 +399,8 @@ static int read_named(struct gsn_study_files *f, struct gsn_store *store,
     const char *const name = json_string_value(json_object_get(region, "name"));
     const char *const why = json_string_value(json_object_get(region, "withheld"));
     const json_t *const interval = json_object_get(region, "loss_interval");
-    gsn_auto_mem(char) measure = gsn_format("%s%c%s", name ? name : "", GSN_SPECIMEN_IN_REGION, "mean_density");
+    gsn_auto_mem(char) measure =
+        gsn_format("%s%c%s", name ? name : "", GSN_SPECIMEN_IN_REGION, "mean_density");
     struct named n = { .specimen = f->input.specimen_count,
                        .region = keep_text(f, gsn_strdup(name ? name : "")),
                        .density = read_number(region, "mean_density"),
@@ -554,8 +556,9 @@ static int name_measures(struct gsn_study_files *f, struct gsn_error *err)
     for (size_t i = 0; i < f->threshold_count; i++) {
         const char *const name = say_text(f, "volume_above_%.9g", f->threshold[i]);
         const char *const what =
-            say_text(f, "volume of the region's tissue with a density above %.9g; of an imported "
-                        "volume, of its fitted model",
+            say_text(f,
+                     "volume of the region's tissue with a density above %.9g; of an imported "
+                     "volume, of its fitted model",
                      f->threshold[i]);
 
         if (!name || !what)

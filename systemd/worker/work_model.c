@@ -25,7 +25,8 @@ enum {
     MOST_PROFILE = 100000,
     MOST_LEVELS = 8,
     NEAREST_SECTIONS = 2,
-    MOST_CELLS = 2000000 /* as a run takes (pipeline/specimen/analysis.c): the same bounds as its report */
+    MOST_CELLS =
+        2000000 /* as a run takes (pipeline/specimen/analysis.c): the same bounds as its report */
 };
 
 struct asked {

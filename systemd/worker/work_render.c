@@ -134,8 +134,8 @@ static const char *read_request(struct render *e)
         return "--size is the picture's width in pixels, from 64 to 4096";
     e->view.width = e->view.height = (uint32_t)size;
     e->view.eye_distance = request->perspective ? 3 : 0;
-    e->style = (struct gsn_ray_style){ .low = NAN, .map = GSN_MAP_VIRIDIS, .level = NAN,
-                                       .across = 2 };
+    e->style =
+        (struct gsn_ray_style){ .low = NAN, .map = GSN_MAP_VIRIDIS, .level = NAN, .across = 2 };
     if (request->surface && !gsn_work_numbers(request->surface, 1, &e->style.level))
         return "--surface V is where the density has one value";
     if (request->window) {
@@ -166,8 +166,8 @@ static const char *read_request(struct render *e)
 
 /* ---- what is seen -------------------------------------------------------------------------- */
 
-/* Means of the cells: as the model keeps them, which is of those with tissue of the region; or, where
- * it keeps none or all of the domain is shown, of the spline. */
+/* Means of the cells: as the model keeps them, which is of those with tissue of the region; or,
+ * where it keeps none or all of the domain is shown, of the spline. */
 static int find_means(const struct render *e, struct scene *s, struct gsn_error *err)
 {
     const size_t cells = gsn_dms_mesh(s->model->space)->tet_count;
@@ -184,7 +184,8 @@ static int find_means(const struct render *e, struct scene *s, struct gsn_error 
     return GSN_OK;
 }
 
-/* Around the cells that are shown, which reach beyond the region; low: NaN, or less is not shown. */
+/* Around the cells that are shown, which reach beyond the region; low: NaN, or less is not
+ * shown. */
 static void frame_cells(struct scene *s, double low)
 {
     const struct gsn_tets *mesh = gsn_dms_mesh(s->model->space);
@@ -238,7 +239,8 @@ static int find_scene(struct render *e, struct scene *s, struct gsn_error *err)
         high[c] = fmin(high[c], s->clip.high[c]);
     }
     if (e->cells > 0 && !(low[0] < high[0]))
-        return gsn_fail(err, GSN_E_INPUT, "no cell of the window's densities lies in what is shown");
+        return gsn_fail(err, GSN_E_INPUT,
+                        "no cell of the window's densities lies in what is shown");
     for (int c = 0; c < 3; c++) {
         if (!(low[c] < high[c]))
             return gsn_fail(err, GSN_E_INPUT, "nothing of %s lies in the box",
@@ -331,9 +333,9 @@ static int draw_xrays(struct render *e, struct gsn_error *err)
         struct scene *s = &e->scene[i];
         double low = 0, high = 0;
 
-        r = (e->request->preview ? gsn_projected_xray : gsn_ray_xray)(
-            s->model->spline, &s->camera, &s->clip, &e->style, e->request->threads, NULL, &s->xray,
-            err);
+        r = (e->request->preview ? gsn_projected_xray
+                                 : gsn_ray_xray)(s->model->spline, &s->camera, &s->clip, &e->style,
+                                                 e->request->threads, NULL, &s->xray, err);
         if (r < 0)
             return r;
         gsn_plate_range(s->xray, &low, &high);
@@ -357,12 +359,13 @@ static int take_colours(struct render *e, const struct scene *s, struct gsn_erro
     if (!e->request->true_colour)
         return GSN_OK;
     e->style.colour = gsn_model_colours(s->model);
-    return e->style.colour ? GSN_OK
-                           : gsn_fail(err, GSN_E_NOTFOUND,
-                                      "the model of run %lld of %s, by gieson %s, has no colours: a "
-                                      "volume has none, and `gieson night` computes sections of an "
-                                      "older version again",
-                                      (long long)s->kept->run->id, s->name, s->kept->run->version);
+    return e->style.colour
+               ? GSN_OK
+               : gsn_fail(err, GSN_E_NOTFOUND,
+                          "the model of run %lld of %s, by gieson %s, has no colours: a "
+                          "volume has none, and `gieson night` computes sections of an "
+                          "older version again",
+                          (long long)s->kept->run->id, s->name, s->kept->run->version);
 }
 
 static int draw_light(struct render *e, struct scene *s, struct gsn_error *err)
@@ -386,11 +389,11 @@ static int draw_light(struct render *e, struct scene *s, struct gsn_error *err)
         (void)snprintf(s->title, sizeof s->title, "%s: cells at %g %%, %s", s->name, 100 * e->cells,
                        through_eye(s));
         (void)snprintf(e->note, sizeof e->note, "mean of each cell; axes in \xc2\xb5m");
-        r = gsn_cells_picture(gsn_dms_mesh(s->model->space), s->mean, e->cells, &s->camera, &s->clip,
-                              &e->style, threads, &picture, err);
+        r = gsn_cells_picture(gsn_dms_mesh(s->model->space), s->mean, e->cells, &s->camera,
+                              &s->clip, &e->style, threads, &picture, err);
     } else {
-        (void)snprintf(s->title, sizeof s->title, "%s: emission and absorption%s, %s%s",
-                       s->name, coloured, through_eye(s), how_made(e));
+        (void)snprintf(s->title, sizeof s->title, "%s: emission and absorption%s, %s%s", s->name,
+                       coloured, through_eye(s), how_made(e));
         (void)snprintf(e->note, sizeof e->note,
                        "%.3g: 1/e through %.3g \xc2\xb5m; axes in \xc2\xb5m", e->style.high,
                        e->style.opaque_um);
@@ -398,7 +401,8 @@ static int draw_light(struct render *e, struct scene *s, struct gsn_error *err)
             spline, &s->camera, &s->clip, &e->style, threads, NULL, &picture, err);
     }
     if (r >= 0)
-        r = gsn_ray_paint(picture, &s->camera, &e->style, &s->box, s->title, e->note, &s->sheet, err);
+        r = gsn_ray_paint(picture, &s->camera, &e->style, &s->box, s->title, e->note, &s->sheet,
+                          err);
     return r;
 }
 
@@ -441,18 +445,16 @@ static void say_render(const struct render *e, const char *file, size_t size)
     const double um_per_px = 1 / e->scene[0].camera.px_per_um;
 
     if (e->request->json) {
-        json_t *root = json_pack("{s:o, s:I, s:o, s:o, s:I, s:f}", "specimen",
-                                 gsn_work_text(e->scene[0].name), "run",
-                                 (json_int_t)e->scene[0].kept->run->id, "file", gsn_work_text(file),
-                                 "holds", gsn_work_text(e->scene[0].title), "bytes",
-                                 (json_int_t)size, "um_per_px", um_per_px);
+        json_t *root = json_pack(
+            "{s:o, s:I, s:o, s:o, s:I, s:f}", "specimen", gsn_work_text(e->scene[0].name), "run",
+            (json_int_t)e->scene[0].kept->run->id, "file", gsn_work_text(file), "holds",
+            gsn_work_text(e->scene[0].title), "bytes", (json_int_t)size, "um_per_px", um_per_px);
         json_t *beside = json_array();
 
         for (int i = 1; i < e->scenes; i++)
-            (void)json_array_append_new(beside,
-                                        json_pack("{s:o, s:I}", "specimen",
-                                                  gsn_work_text(e->scene[i].name), "run",
-                                                  (json_int_t)e->scene[i].kept->run->id));
+            (void)json_array_append_new(beside, json_pack("{s:o, s:I}", "specimen",
+                                                          gsn_work_text(e->scene[i].name), "run",
+                                                          (json_int_t)e->scene[i].kept->run->id));
         (void)json_object_set_new(root, "beside", beside);
         (void)json_dumpf(root, stdout, JSON_INDENT(2));
         (void)putchar('\n');

@@ -13,8 +13,8 @@
 struct gsn_work_request {
     const char *store_dir, *verb;
     char **rest;
-    int rest_count, json, csv, quiet, replace, served, by_tissue, quick, whole, translucent, true_colour,
-        perspective, preview;
+    int rest_count, json, csv, quiet, replace, served, by_tissue, quick, whole, translucent,
+        true_colour, perspective, preview;
     unsigned threads, minutes;
     const char *volume, *tile, *reference, *specimen, *spacing_unit, *marks, *px_um, *radius,
         *journal, *because, *difference, *sd, *power, *step, *box, *plane, *points, *publish,

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Pictures of 512^2 rays on the cube, orthographic and oblique: a linear field against VTK's mappers
- * on the same tetrahedra, and a quadratic spline against a trilinear caster on 256^3 voxels of it,
- * steps of half a voxel, scalar code like ours.
+/* Pictures of 512^2 rays on the cube, orthographic and oblique: a linear field against VTK's
+ * mappers on the same tetrahedra, and a quadratic spline against a trilinear caster on 256^3 voxels
+ * of it, steps of half a voxel, scalar code like ours.
  *
  * Errors are rms over pixels. Of the linear field the truth is a closed form (a chord of the cube),
  * of the spline the integral along a few segments. */
@@ -48,8 +48,12 @@ static struct scene scene_new(enum bench_size size, unsigned degree)
         .direction = { 0.45, 0.62, 0.64 }, .up = { 0, -0.35, -1 }, .width = px, .height = px
     };
     struct scene scene = { .bench = bench_case_new(size, degree, CLOUD),
-                           .style = { .low = 0, .high = 1, .opaque_um = 1 / KAPPA,
-                                      .map = GSN_MAP_GREY, .level = NAN, .across = 1 },
+                           .style = { .low = 0,
+                                      .high = 1,
+                                      .opaque_um = 1 / KAPPA,
+                                      .map = GSN_MAP_GREY,
+                                      .level = NAN,
+                                      .across = 1 },
                            .threads = 1 };
     struct gsn_error err = { 0 };
 
@@ -112,8 +116,7 @@ static void run_projected_xray(void *context)
                &err, "X-ray of cells");
 }
 
-static int cube_chord(const double start[3], const double into[3], double *ret_from,
-                      double *ret_to)
+static int cube_chord(const double start[3], const double into[3], double *ret_from, double *ret_to)
 {
     *ret_from = -INFINITY;
     *ret_to = INFINITY;
@@ -165,10 +168,9 @@ static double linear_error(const struct scene *scene, const uint8_t *theirs)
 
     for (uint32_t y = 0; y < px; y++) {
         for (uint32_t x = 0; x < px; x++) {
-            const double got = theirs ? theirs[y * px + x] / 255.0
-                                      : (double)scene->picture->rgba[y * px + x][3];
-            const double off =
-                got + expm1(-KAPPA * linear_truth(&scene->camera, x, y));
+            const double got =
+                theirs ? theirs[y * px + x] / 255.0 : (double)scene->picture->rgba[y * px + x][3];
+            const double off = got + expm1(-KAPPA * linear_truth(&scene->camera, x, y));
 
             sum += off * off;
         }
@@ -200,10 +202,9 @@ static int write_camera(const struct scene *scene, const char *path)
     const struct gsn_camera *camera = &scene->camera;
     json_t *root = json_pack(
         "{s:i, s:f, s:f, s:[f,f,f], s:[f,f,f], s:[f,f,f]}", "size", (int)camera->width, "kappa",
-        KAPPA, "half_height", camera->height / 2.0 / camera->px_per_um, "centre",
-        camera->centre[0], camera->centre[1], camera->centre[2], "into", camera->into[0],
-        camera->into[1], camera->into[2], "up", -camera->down[0], -camera->down[1],
-        -camera->down[2]);
+        KAPPA, "half_height", camera->height / 2.0 / camera->px_per_um, "centre", camera->centre[0],
+        camera->centre[1], camera->centre[2], "into", camera->into[0], camera->into[1],
+        camera->into[2], "up", -camera->down[0], -camera->down[1], -camera->down[2]);
     const int ok = json_dump_file(root, path, 0) == 0;
 
     json_decref(root);
@@ -271,8 +272,12 @@ static void race_vtk(void)
         snprintf(path[2], sizeof path[2], "%s/picture", folder);
     }
     if (path[0][0] && bench_write_mesh(&scene.bench, path[0]) && write_camera(&scene, path[1])) {
-        char *argv[] = { (char[]){ GSN_DEBIAN_PYTHON }, (char[]){ GSN_BENCH_RAYS }, path[0],
-                         path[1], path[2], NULL };
+        char *argv[] = { (char[]){ GSN_DEBIAN_PYTHON },
+                         (char[]){ GSN_BENCH_RAYS },
+                         path[0],
+                         path[1],
+                         path[2],
+                         NULL };
 
         (void)bench_peer_start(&peer, argv);
         (void)bench_peer_ask(&peer, "load", NULL);
@@ -394,8 +399,8 @@ static void race_steps(void)
     bench_need(gsn_spline_resample(scene.bench.spline, &at, 1, voxel, &err), &err, "resample");
     scene.voxel = voxel;
     scene.edge = edge;
-    scene.theirs = bench_alloc((size_t)scene.camera.width * scene.camera.width,
-                               sizeof *scene.theirs);
+    scene.theirs =
+        bench_alloc((size_t)scene.camera.width * scene.camera.width, sizeof *scene.theirs);
     bench_race(xray, 2, bench_quick ? 1 : 3);
     xray_errors(&scene, &ours, &theirs);
     bench_say("rays_xray", xray[0].cpu_s, "s", "a trilinear caster", xray[1].cpu_s / xray[0].cpu_s,

@@ -3,9 +3,9 @@
 
 #include "tests/check.h"
 
-/* 200 drawn cases of what R 4.2.2 says (qf, qt, qnorm): p, degrees of freedom up to 1e4, probability
- * from 1e-9 on; then the limits of the ratio and of Student's t, and the normal quantile of the
- * probability. */
+/* 200 drawn cases of what R 4.2.2 says (qf, qt, qnorm): p, degrees of freedom up to 1e4,
+ * probability from 1e-9 on; then the limits of the ratio and of Student's t, and the normal
+ * quantile of the probability. */
 static const double TABLE[][6] = {
     { 5, 4.4, 0.06402, 24.6238005563, 1.8717249806, -1.52187661368 },
     { 1, 369.67, 0.0002795, 13.4600832024, 3.48112646649, -3.4507650376 },

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* The model that a page carries, unpacked here by the format's words and held against the spline. */
+/* The model that a page carries, unpacked here by the format's words and held against the
+ * spline. */
 #include "pipeline/export/page_model.h"
 
 #include <math.h>
@@ -15,7 +16,14 @@
 static const double LOW[3] = { 100, -50, 20 }, HIGH[3] = { 400, 250, 180 };
 static const unsigned CUBES[3] = { 4, 4, 3 };
 
-enum { CORNERS = 4, FIRST_FACT = 9, FACTS = 10, INWARD = FIRST_FACT + FACTS, COLUMNS = INWARD + 2, ROOM = 1 << 20 };
+enum {
+    CORNERS = 4,
+    FIRST_FACT = 9,
+    FACTS = 10,
+    INWARD = FIRST_FACT + FACTS,
+    COLUMNS = INWARD + 2,
+    ROOM = 1 << 20
+};
 enum { NUMBER, DENSITY, LOWER, UPPER, RESIDUAL, BELOW, ABOVE, SAMPLES, SHARE, VOLUME };
 
 struct unpacked {
@@ -40,7 +48,9 @@ static struct unpacked unpack(const struct gsn_page_model *model)
     CHECK(uncompress(plain, &size, model->bytes, (uLong)model->size) == Z_OK);
     memcpy(u.head, plain, sizeof u.head);
     for (size_t i = 0; i < COLUMNS; i++) {
-        const size_t count = (size_t)u.head[i < 3 || i == 7 || i == INWARD ? 0 : i == 8 || i == INWARD + 1 ? 1 : 2];
+        const size_t count = (size_t)u.head[i < 3 || i == 7 || i == INWARD ? 0
+                                            : i == 8 || i == INWARD + 1    ? 1
+                                                                           : 2];
         const unsigned width = *at++;
         uint32_t last = 0;
 

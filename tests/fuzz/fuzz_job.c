@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Any bytes as job.json: a protocol whose numbers are what docs/user/job.md allows, or a sentence. */
+/* Any bytes as job.json: a protocol whose numbers are what docs/user/job.md allows, or a
+ * sentence. */
 #include "pipeline/specimen/protocol.h"
 
 #include <math.h>

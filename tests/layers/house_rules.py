@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """The rules of the house that a compiler does not know: who may include whom, which calls have one
-door only, that no failure is dropped, and that every source opens with what it does.
+door only, that no failure is dropped, that every source opens with what it does, and that no line is
+longer than a screen shows.
 
     house_rules.py ROOT              checks the tree; prints "file:line: sentence", exit 1 if any
     house_rules.py ROOT --self-test  plants one violation of each rule in a copy and demands that
@@ -13,6 +14,7 @@ import shutil
 import sys
 import tempfile
 
+WIDEST = 100
 ROOMS = ("acquire", "pipeline", "storage", "ui", "systemd", "udev")
 
 # folder -> folders whose headers it may include (its own always). The longest match counts.
@@ -175,6 +177,12 @@ def check_opening(path, text, say):
                      "fails, what it costs")
 
 
+def check_width(path, text, say):
+    for number, line in enumerate(text.splitlines(), 1):
+        if len(line) > WIDEST:
+            say(path, number, f"{len(line)} columns, {WIDEST} at most")
+
+
 def check(root):
     found = []
 
@@ -192,6 +200,7 @@ def check(root):
             check_internal(path, text, say)
             check_licence(path, text, say)
             check_opening(path, text, say)
+            check_width(path, text, say)
     check_structs(texts, say)
     check_doors(texts, say)
     return found
@@ -216,6 +225,7 @@ PLANTED = {
     "a name for two structures": (
         "ui/planted.h", SPDX + "struct gsn_error {\n    int code;\n};\n", "is defined in"),
     "a missing licence line": ("acquire/planted.c", "int f(void);\n", "SPDX line is missing"),
+    "a line that is too long": ("ui/planted.h", SPDX + "/* " + 98 * "x" + " */\n", "100 at most"),
     "a source without an opening": (
         "ui/planted.cpp", SPDX + '#include "ui/planted.h"\n\n/* What f is. */\nint f(void);\n',
         "does not open with a comment"),

@@ -124,8 +124,8 @@ TEST(a_rod_has_its_surface_and_thickness)
 
         check_near("rod, thickness", bone.thickness_um, 260, 0.03);
         /* It ends at the middles of the outer voxels. */
-        check_near("rod, surface", bone.surface_um2,
-                   2 * M_PI * 130 * (k & 1 ? 21 * 24 : 43 * 12), 0.01);
+        check_near("rod, surface", bone.surface_um2, 2 * M_PI * 130 * (k & 1 ? 21 * 24 : 43 * 12),
+                   0.01);
         CHECK(bone.components == 1 && bone.euler == 1);
     }
 }
@@ -154,7 +154,8 @@ TEST(pieces_and_cavities_are_counted)
 TEST(threads_change_no_bit)
 {
     const struct body torus = { in_torus, 100, 150 };
-    const struct gsn_bone one = measure(&torus, UNEVEN, 0.3, 1), four = measure(&torus, UNEVEN, 0.3, 4);
+    const struct gsn_bone one = measure(&torus, UNEVEN, 0.3, 1),
+                          four = measure(&torus, UNEVEN, 0.3, 4);
 
     CHECK(one.surface_um2 == four.surface_um2 && one.thickness_um == four.thickness_um &&
           one.thickness_sd == four.thickness_sd && one.euler == four.euler);

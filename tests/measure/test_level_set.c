@@ -213,11 +213,12 @@ TEST(a_spline_that_ends_sharply_at_the_boundary_lies_between_its_bounds)
     struct kuhn kuhn;
 
     CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.02, &q, &kuhn, &err), err);
-    CHECK_OK(
-        gsn_level_set_volume(kuhn.spline, region, thresholds, THRESHOLDS, NULL, bound, &err), err);
+    CHECK_OK(gsn_level_set_volume(kuhn.spline, region, thresholds, THRESHOLDS, NULL, bound, &err),
+             err);
     by_points(kuhn.spline, region, thresholds, estimate);
     for (int t = 0; t < THRESHOLDS; t++) {
-        /* The value falls to 0 in the clouds at the faces alone, so it is at most the linear one. */
+        /* The value falls to 0 in the clouds at the faces alone, so it is at most the linear
+         * one. */
         CHECK(bound[t].lower_um3 <= whole * (1.0 - thresholds[t] / 2.0));
         CHECK(bound[t].lower_um3 <= 1.03 * estimate[t] && bound[t].upper_um3 >= 0.97 * estimate[t]);
         CHECK(bound[t].upper_um3 - bound[t].lower_um3 <= 0.1 * whole);

@@ -82,7 +82,8 @@ TEST(what_cannot_be_compared_is_refused_by_name)
     struct gsn_loss_side other = side("S02", 0.30);
 
     other.volume_um3 *= 1.0011;
-    check_refused(&control, &other, GSN_E_INPUT, "the regions differ: S00 has 2.5 mm3 (not known how), S02 has");
+    check_refused(&control, &other, GSN_E_INPUT,
+                  "the regions differ: S00 has 2.5 mm3 (not known how), S02 has");
     other = side("S02", 0.30);
     other.definition = "area fraction 1";
     check_refused(&control, &other, GSN_E_INPUT, "the density definitions differ");

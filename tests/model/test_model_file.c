@@ -170,9 +170,9 @@ static void write_model(struct gsn_dms **ret_space, struct gsn_spline **ret_spli
     *ret_space = kuhn_space(CELLS, 0.2, 3, 0.05, GSN_DMS_SHARED);
     *ret_spline = random_spline(*ret_space);
     *ret_cells = draw_cells(gsn_dms_mesh(*ret_space)->tet_count);
-    CHECK_OK(
-        gsn_model_file_write(*ret_spline, NULL, ret_cells, &REGION, &NOTES, ret_bytes, ret_size, &err),
-        err);
+    CHECK_OK(gsn_model_file_write(*ret_spline, NULL, ret_cells, &REGION, &NOTES, ret_bytes,
+                                  ret_size, &err),
+             err);
 }
 
 #define CHECK_SAME(a, b, count) CHECK(memcmp((a), (b), (count) * sizeof *(a)) == 0)
@@ -264,8 +264,9 @@ TEST(the_same_model_is_the_same_bytes)
     size_t first_size = 0, second_size = 0;
 
     write_model(&space, &spline, &cells, &first, &first_size);
-    CHECK_OK(gsn_model_file_write(spline, NULL, &cells, &REGION, &NOTES, &second, &second_size, &err),
-             err);
+    CHECK_OK(
+        gsn_model_file_write(spline, NULL, &cells, &REGION, &NOTES, &second, &second_size, &err),
+        err);
     CHECK(first_size == second_size && memcmp(first, second, first_size) == 0);
     cells_done(&cells);
 }
@@ -352,8 +353,8 @@ static int write_and_read(const struct gsn_spline *spline, struct gsn_error *err
     gsn_auto_mem(uint8_t) bytes = NULL;
     const struct gsn_spline *const colour[3] = { spline, spline, spline };
     size_t size = 0;
-    int r = gsn_model_file_write(spline, colour, &(struct gsn_model_cells){ .density = NULL }, &REGION,
-                                 &NOTES, &bytes, &size, err);
+    int r = gsn_model_file_write(spline, colour, &(struct gsn_model_cells){ .density = NULL },
+                                 &REGION, &NOTES, &bytes, &size, err);
 
     return r < 0 ? r : gsn_model_file_read(bytes, size, &model, err);
 }

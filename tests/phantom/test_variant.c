@@ -397,7 +397,8 @@ TEST(a_value_out_of_its_range_is_refused_with_its_key)
     check_refused("{\"block\": \"Q\"}", "\"block\"");
     check_refused("{\"block\": {\"half_axes_um\": [2900, 2900]}}", "make \"half_axes_um\" smaller");
     check_refused("{\"block\": {\"sections\": 20}}", "the region lies at z = 120 to 720 um");
-    check_refused("{\"block\": {\"lesion_um\": [411, 646, 430]}}", "the region ends within a section");
+    check_refused("{\"block\": {\"lesion_um\": [411, 646, 430]}}",
+                  "the region ends within a section");
     check_refused("[]", "must be a JSON object");
     check_refused("{\"loss\": 1, \"loss\": 2}", "line 1");
 }

@@ -124,8 +124,9 @@ TEST(ticks_stand_at_round_places_of_the_block)
         const double x = 10 + 350 + (um - 500) * px_per_um, y = 15 + 350 + 400 * px_per_um;
         const int tick = !is_like(sheet, x, y + 3, grey, 12);
 
-        CHECK(!is_like(sheet, x, y, grey, 12) || !is_like(sheet, x, y - 1, grey, 12)); /* the axis */
-        CHECK(tick == (um % 100 == 0)); /* numbers need 48 pixels: 93 um */
+        CHECK(!is_like(sheet, x, y, grey, 12) ||
+              !is_like(sheet, x, y - 1, grey, 12)); /* the axis */
+        CHECK(tick == (um % 100 == 0));             /* numbers need 48 pixels: 93 um */
     }
 }
 
@@ -157,8 +158,8 @@ TEST(the_faces_of_the_cube_that_look_at_the_eye_are_lit_by_how_much)
     }
 }
 
-/* Where an axis leaves the cube towards the eye its ink is on top; one that leaves away from the eye
- * is hidden where the cube is before it. */
+/* Where an axis leaves the cube towards the eye its ink is on top; one that leaves away from the
+ * eye is hidden where the cube is before it. */
 TEST(the_axes_of_the_cube_point_as_those_of_the_block)
 {
     static const struct gsn_colour ink[3] = { { 176, 60, 40 }, { 30, 120, 80 }, { 40, 70, 170 } };
@@ -189,7 +190,8 @@ TEST(a_small_picture_has_the_cube_and_no_numbers)
     gsn_auto(gsn_image) without = painted(&camera, NULL);
 
     assert_memory_equal(with->samples, without->samples, gsn_image_bytes(with));
-    CHECK(!is_like(with, 10 + 200 - CORNER_PX / 2, 15 + CORNER_PX / 2, grey, 20)); /* half as large */
+    CHECK(
+        !is_like(with, 10 + 200 - CORNER_PX / 2, 15 + CORNER_PX / 2, grey, 20)); /* half as large */
 }
 
 static int once(const struct gsn_camera *camera, struct gsn_error *err)

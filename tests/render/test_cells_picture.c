@@ -161,7 +161,9 @@ TEST(a_cut_leaves_the_cells_whose_middles_it_leaves)
 {
     static const double plane[1][6] = { { 600, 0, 0, 1, 0, 0 } };
     const struct gsn_ray_clip cut = { .plane = plane, .plane_count = 1 };
-    const struct gsn_ray_clip within = { .has_box = 1, .low = { 0, 0, 0 }, .high = { 600, 900, 600 } };
+    const struct gsn_ray_clip within = { .has_box = 1,
+                                         .low = { 0, 0, 0 },
+                                         .high = { 600, 900, 600 } };
     const struct gsn_view view = oblique(100, 100);
     gsn_auto_mem(double) every = NULL;
     gsn_auto_mem(double) left = NULL;
@@ -172,7 +174,8 @@ TEST(a_cut_leaves_the_cells_whose_middles_it_leaves)
     left = evenly(&kuhn, 0.5);
     for (size_t t = 0; t < kuhn.mesh->tet_count; t++)
         if (middle_of(&kuhn, t, 0) > 600)
-            left[t] = t % 2 ? (double)NAN : -0.1; /* less than the window's lower end: left out too */
+            left[t] =
+                t % 2 ? (double)NAN : -0.1; /* less than the window's lower end: left out too */
     gsn_auto(gsn_ray_picture) wanted = drawn(&kuhn, left, 0.7, &view, NULL, 1);
     gsn_auto(gsn_ray_picture) by_plane = drawn(&kuhn, every, 0.7, &view, &cut, 1);
     gsn_auto(gsn_ray_picture) by_box = drawn(&kuhn, every, 0.7, &view, &within, 1);
@@ -192,7 +195,8 @@ static int once(const struct kuhn *kuhn, const double *density, double share,
     const struct gsn_ray_style style = plain(0, 1, 1);
     const struct gsn_camera camera = frame(kuhn, &view);
 
-    return gsn_cells_picture(kuhn->mesh, density, share, &camera, NULL, &style, 1, ret_picture, err);
+    return gsn_cells_picture(kuhn->mesh, density, share, &camera, NULL, &style, 1, ret_picture,
+                             err);
 }
 
 static int once_freed(const struct kuhn *kuhn, const double *density, struct gsn_error *err)

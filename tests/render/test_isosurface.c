@@ -121,12 +121,12 @@ static double farthest_from_sphere(const struct gsn_trimesh *surface, const doub
             double u[3];
 
             for (int a = 0; a < 3; a++)
-                u[a] = (k == 3 ? (surface->vertex[v[0]][a] + surface->vertex[v[1]][a] +
-                                  surface->vertex[v[2]][a]) /
-                                     3
-                               : (surface->vertex[v[k]][a] + surface->vertex[v[(k + 1) % 3]][a]) /
-                                     2) -
-                       c[a];
+                u[a] =
+                    (k == 3 ? (surface->vertex[v[0]][a] + surface->vertex[v[1]][a] +
+                               surface->vertex[v[2]][a]) /
+                                  3
+                            : (surface->vertex[v[k]][a] + surface->vertex[v[(k + 1) % 3]][a]) / 2) -
+                    c[a];
             farthest = fmax(farthest, fabs(gsn_length3(u) - r));
         }
     }
@@ -151,22 +151,21 @@ TEST(no_triangle_is_farther_from_the_surface_than_asked)
         CHECK(farthest <= 4.01 / 3 * within);
         CHECK(surface->error_um <= within && surface->error_um > 0.3 * farthest);
         /* Errors go with the square of a length, triangles with its inverse square. */
-        CHECK(triangles == 0 || (surface->triangle_count > 2 * triangles &&
-                                 surface->triangle_count < 8 * triangles));
+        CHECK(triangles == 0 ||
+              (surface->triangle_count > 2 * triangles && surface->triangle_count < 8 * triangles));
         triangles = surface->triangle_count;
         CHECK(open_edges(surface) == 0);
     }
     kuhn_done(&kuhn);
 }
 
-/* One ball of a tenth of a cell, anywhere: in a cell, across a face, at an edge; no corner is in it. */
+/* One ball of a tenth of a cell, anywhere: in a cell, across a face, at an edge; no corner is in
+ * it. */
 TEST(a_piece_that_no_corner_shows_is_found)
 {
-    static const double middle[][3] = { { 120, 330, 210 },
-                                        { 250, 250, 120 },
-                                        { 250, 250, 250 },
-                                        { 250, 13, 7 },
-                                        { 333, 333, 80 } };
+    static const double middle[][3] = {
+        { 120, 330, 210 }, { 250, 250, 120 }, { 250, 250, 250 }, { 250, 13, 7 }, { 333, 333, 80 }
+    };
     struct gsn_error err = { 0 };
 
     for (size_t i = 0; i < sizeof middle / sizeof middle[0]; i++) {

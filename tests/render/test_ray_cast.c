@@ -270,7 +270,8 @@ TEST(absorption_by_a_polynomial_field_has_its_closed_form)
     kuhn_done(&kuhn);
 }
 
-/* Three more splines on the space of the first: red, green and blue that change along x, y and z. */
+/* Three more splines on the space of the first: red, green and blue that change along x, y and
+ * z. */
 static const struct quadric dyed[3] = { { 0.5, { 0.0004, 0, 0 }, { 0 } },
                                         { 0.4, { 0, 0.0003, 0 }, { 0 } },
                                         { 0.6, { 0, 0, -0.0003 }, { 0 } } };
@@ -282,15 +283,15 @@ static void dye(const struct kuhn *kuhn, unsigned degree, struct gsn_spline *ret
         struct kuhn other;
 
         CHECK_OK(kuhn_sharp(low, high, cells, degree, 0.05, &dyed[c], &other, &err), err);
-        CHECK_OK(gsn_spline_new(kuhn->space, gsn_spline_controls(other.spline), &ret_colour[c],
-                                &err),
-                 err);
+        CHECK_OK(
+            gsn_spline_new(kuhn->space, gsn_spline_controls(other.spline), &ret_colour[c], &err),
+            err);
         kuhn_done(&other);
     }
 }
 
-/* Extinction is the same all through the box; so the light of a colour a + b t is a (1 - e) + b (L -
- * (L + D) e) with e = exp(-D / L). */
+/* Extinction is the same all through the box; so the light of a colour a + b t is a (1 - e) + b (L
+ * - (L + D) e) with e = exp(-D / L). */
 TEST(true_colours_have_their_closed_form)
 {
     static const struct quadric dense = { 2, { 0 }, { 0 } };
@@ -324,8 +325,7 @@ TEST(true_colours_have_their_closed_form)
                 const double a = quadric_on(&dyed[c], start, into, in),
                              b = (quadric_on(&dyed[c], start, into, out) - a) / (out - in);
 
-                CHECK_NEAR((double)got[c],
-                           a * (1 - left) + b * (away - (away + out - in) * left),
+                CHECK_NEAR((double)got[c], a * (1 - left) + b * (away - (away + out - in) * left),
                            GSN_RAY_TOLERANCE);
             }
             met++;

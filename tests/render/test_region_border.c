@@ -95,7 +95,8 @@ TEST(the_gradient_is_the_slope_between_points)
 
         before[c] -= 0.01;
         behind[c] += 0.01;
-        CHECK(fabs((gsn_border_at(border, behind, NULL) - gsn_border_at(border, before, NULL)) / 0.02 -
+        CHECK(fabs((gsn_border_at(border, behind, NULL) - gsn_border_at(border, before, NULL)) /
+                       0.02 -
                    gradient[c]) < 1e-6);
     }
 }

@@ -204,8 +204,8 @@ static int fill_section(struct sample *sample, unsigned serial, unsigned picture
         const double way = serial + 2. * k;
 
         s->onto_um[k] = (struct gsn_point){ 1500 * mark[k][0], 1500 * mark[k][1] };
-        s->off_um[k] = (struct gsn_point){ s->residual_um[k] * cos(way),
-                                           s->residual_um[k] * sin(way) };
+        s->off_um[k] =
+            (struct gsn_point){ s->residual_um[k] * cos(way), s->residual_um[k] * sin(way) };
     }
     s->tissue_apart_um = 6 + 3 * sin(serial);
     s->tissue_limit_um = 31;
@@ -224,7 +224,8 @@ static int fill_section(struct sample *sample, unsigned serial, unsigned picture
     }
     if (!picture_width || serial == 29)
         return GSN_OK;
-    if (s->posed && (r = draw(aligned_colour, serial == 41 ? .06 : .004 * turn, picture_width / 3 + 1, picture_width / 3 + 1, &s->aligned)) < 0)
+    if (s->posed && (r = draw(aligned_colour, serial == 41 ? .06 : .004 * turn,
+                              picture_width / 3 + 1, picture_width / 3 + 1, &s->aligned)) < 0)
         return r;
     return draw(section_colour, turn, picture_width / 3 + 1, (picture_width / 3 + 1) * 7 / 8,
                 &s->thumbnail);

@@ -110,8 +110,8 @@ TEST(a_linear_density_has_the_mean_at_the_centre_and_slabs_above_thresholds)
 }
 
 /* 0.1 to 0.9 across the box; what the baseline calls 0.6 reads 0.5 here. */
-/* Light that rises from 0.2 to 0.8 along x, with half of it along y in green: codes of 8 bits are to be
- * found as that light, and black is no data. */
+/* Light that rises from 0.2 to 0.8 along x, with half of it along y in green: codes of 8 bits are
+ * to be found as that light, and black is no data. */
 TEST(true_colour_is_fitted_as_light)
 {
     gsn_auto(gsn_grid) grid = linear_grid(0.6, (struct gsn_vec3){ 0, 0, 0 });
@@ -126,8 +126,9 @@ TEST(true_colour_is_fitted_as_light)
 
     CHECK_OK(gsn_colour_grid_new(&grid->at, &colour, &err), err);
     for (size_t i = 0; i < gsn_lattice_count(&grid->at); i++) {
-        const struct gsn_vec3 u = gsn_lattice_centre(
-            &grid->at, i % grid->at.nx, i / grid->at.nx % grid->at.ny, i / grid->at.nx / grid->at.ny);
+        const struct gsn_vec3 u =
+            gsn_lattice_centre(&grid->at, i % grid->at.nx, i / grid->at.nx % grid->at.ny,
+                               i / grid->at.nx / grid->at.ny);
         const double light = 0.5 + 0.6 * u.x / side;
 
         if (i % 7 == 0)

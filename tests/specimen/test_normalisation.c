@@ -445,8 +445,8 @@ TEST(a_cell_holds_the_mean_of_its_tissue)
     struct gsn_error err = { 0 };
     struct gsn_flat_field glass;
 
-    CHECK_OK(gsn_flat_field_given(16, 16, GSN_LIGHT_CODES_LINEAR, (const double[3]){ 255, 255, 255 },
-                             &glass, &err),
+    CHECK_OK(gsn_flat_field_given(16, 16, GSN_LIGHT_CODES_LINEAR,
+                                  (const double[3]){ 255, 255, 255 }, &glass, &err),
              err);
     CHECK_OK(gsn_od_reader_new(image, &glass, &absorber, &err), err);
     for (unsigned apart = 1; apart <= 2; apart++) {

@@ -259,8 +259,7 @@ TEST(named_regions_are_read_in_their_order_beside_the_main_one)
 
     CHECK_OK(parse(job, &p, &err), err);
     CHECK(p->named_count == 2 && !p->unknown && strcmp(p->region.file, "r.mhd") == 0);
-    CHECK(strcmp(p->named[0].name, "septum") == 0 &&
-          strcmp(p->named[0].region.file, "s.mhd") == 0);
+    CHECK(strcmp(p->named[0].name, "septum") == 0 && strcmp(p->named[0].region.file, "s.mhd") == 0);
     CHECK(strcmp(p->named[1].name, "mesial-2") == 0 &&
           p->named[1].region.kind == GSN_REGION_SPHERE && p->named[1].region.radius_um == 40);
     CHECK_EVERY_OOM(parse(job, &none, &err), err);
@@ -277,7 +276,8 @@ TEST(named_regions_that_are_none_are_refused_by_name)
         { "\"kind\": \"tile\", \"file\": \"t.png\", \"regions\": {\"a\": " SHAPE "}",
           "a tile is one picture" },
         { "\"region\": " SHAPE ", \"registration\": \"tissue\", \"frame\": [1, 1], \"regions\": "
-          "{\"1\": 1, \"2\": 1, \"3\": 1, \"4\": 1, \"5\": 1, \"6\": 1, \"7\": 1, \"8\": 1, \"9\": 1}",
+          "{\"1\": 1, \"2\": 1, \"3\": 1, \"4\": 1, \"5\": 1, \"6\": 1, \"7\": 1, \"8\": 1, \"9\": "
+          "1}",
           "at most 8" },
     };
 

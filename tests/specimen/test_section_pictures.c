@@ -155,8 +155,8 @@ static struct gsn_point middle_of_dark(const struct gsn_image *image)
     return (struct gsn_point){ sum.x / weight, sum.y / weight };
 }
 
-/* However the section was mounted: half a pixel of the scan to one side would be a whole one between
- * two sections that were mounted the other way round. */
+/* However the section was mounted: half a pixel of the scan to one side would be a whole one
+ * between two sections that were mounted the other way round. */
 TEST(a_placed_picture_errs_by_less_than_a_tenth_of_its_pixel)
 {
     const struct gsn_point seen = { 103.3, 71.8 }; /* where the spot is on the scan */
@@ -178,8 +178,9 @@ TEST(a_placed_picture_errs_by_less_than_a_tenth_of_its_pixel)
         um = gsn_affine_apply(map, seen);
         map->m02 = 317.7 - um.x;
         map->m12 = -120.1 - um.y;
-        CHECK_OK(gsn_placed_picture(image, GSN_LIGHT_CODES_LINEAR, &box, (struct gsn_point){ -600, -1000 },
-                                    um_per_px, (unsigned)(1900 / um_per_px), &placed, &err),
+        CHECK_OK(gsn_placed_picture(image, GSN_LIGHT_CODES_LINEAR, &box,
+                                    (struct gsn_point){ -600, -1000 }, um_per_px,
+                                    (unsigned)(1900 / um_per_px), &placed, &err),
                  err);
         found = middle_of_dark(placed);
         CHECK_NEAR(-600 + um_per_px * found.x, 317.7, 0.1 * um_per_px);
@@ -241,8 +242,8 @@ TEST(the_pictures_of_any_number_of_sections_weigh_what_a_page_can_carry)
 
     CHECK(section && density);
     for (size_t i = 0; i < (size_t)3 * 200 * 160; i++) /* grain in colour, as of stained tissue */
-        ((uint8_t *)image->samples)[i] =
-            (uint8_t)(((uint8_t *)image->samples)[i] - ((seed = seed * 1664525 + 1013904223) >> 27));
+        ((uint8_t *)image->samples)[i] = (uint8_t)(((uint8_t *)image->samples)[i] -
+                                                   ((seed = seed * 1664525 + 1013904223) >> 27));
     for (size_t i = 0; i < SECTIONS; i++) {
         section[i] = (struct gsn_section){ .panel = 1,
                                            .posed = 1,
@@ -258,8 +259,8 @@ TEST(the_pictures_of_any_number_of_sections_weigh_what_a_page_can_carry)
         bytes += density[i].aligned.size;
         gsn_free(density[i].aligned.png);
     }
-    print_message("  %d pictures of %u pixels weigh %zu bytes\n", SECTIONS, density[0].aligned.width,
-                  bytes);
+    print_message("  %d pictures of %u pixels weigh %zu bytes\n", SECTIONS,
+                  density[0].aligned.width, bytes);
     CHECK(bytes <= GSN_ALIGNED_BYTES && bytes > GSN_ALIGNED_BYTES / 2);
     gsn_free(section);
     gsn_free(density);

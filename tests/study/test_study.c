@@ -322,8 +322,8 @@ static void draw_animals(size_t side, uint64_t *seed, struct gsn_study_specimen 
 {
     for (size_t i = 0; i < 2 * side; i++) {
         const int treated = i >= side;
-        const double own = treated ? 0.32 + 0.05 * draw_normal(seed)
-                                   : 0.50 + 0.03 * draw_normal(seed);
+        const double own =
+            treated ? 0.32 + 0.05 * draw_normal(seed) : 0.50 + 0.03 * draw_normal(seed);
 
         (void)snprintf(name[i], sizeof name[i], "%zu", i);
         s[i] = draw(name[i], name[i], treated ? "drug" : "none", treated ? "none" : NULL, NAN,
@@ -343,8 +343,8 @@ static void add_share(const struct gsn_study_share *share, double sum[4])
 }
 
 /* In each study, with however few animals, the parts are the whole; with ten a side their means are
- * those drawn: of the treated side's variance 25 are the animals', 1.44 and 1 vectors' and sections'
- * and 1.56 the rest. */
+ * those drawn: of the treated side's variance 25 are the animals', 1.44 and 1 vectors' and
+ * sections' and 1.56 the rest. */
 TEST(the_variance_budget_adds_up_and_its_parts_are_those_drawn)
 {
     static const size_t sides[] = { 3, 4, 6, 10 };
@@ -369,10 +369,11 @@ TEST(the_variance_budget_adds_up_and_its_parts_are_those_drawn)
         }
         for (int i = 0; i < 4; i++)
             all += part[i];
-        printf("%zu animals a side: animals %.1f, vectors %.1f, sections %.1f, other %.1f %% (drawn "
-               "86.2, 5.0, 3.4, 5.4)\n",
-               sides[k], 100 * part[0] / all, 100 * part[1] / all, 100 * part[2] / all,
-               100 * part[3] / all);
+        printf(
+            "%zu animals a side: animals %.1f, vectors %.1f, sections %.1f, other %.1f %% (drawn "
+            "86.2, 5.0, 3.4, 5.4)\n",
+            sides[k], 100 * part[0] / all, 100 * part[1] / all, 100 * part[2] / all,
+            100 * part[3] / all);
         if (sides[k] < 10)
             continue; /* a spread of few is often below the error of measuring them */
         CHECK_NEAR(part[0] / all, 25 / 29., 0.05 * 25 / 29);

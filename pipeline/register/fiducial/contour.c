@@ -12,12 +12,12 @@
  * steps: normal equations of every sector from its pixels, rings far from the edge summed as a
  * whole; the sectors' levels eliminated, the unknowns moved; then the pixels' variance, the
  * sectors' weights and the descriptor's prior are learnt again. 5. The covariance, larger by how
- * much more than it says the sectors disagree. 6. Where a round outline leaves too much, or little of
- * the rim agrees on it, that of an oval (oval.h) is tried.
+ * much more than it says the sectors disagree. 6. Where a round outline leaves too much, or little
+ * of the rim agrees on it, that of an oval (oval.h) is tried.
  *
  * Fails when memory runs out; too few sectors that agree, or a fit that runs away, is a mark that
- * is not found. Pixels are summed in single precision, in loops
- * that the compiler makes vectors of. */
+ * is not found. Pixels are summed in single precision, in loops that the compiler makes vectors
+ * of. */
 #include "pipeline/register/fiducial/contour.h"
 
 #include "pipeline/core/linalg.h"
@@ -41,9 +41,10 @@ static const double SIGMAS = 1;
 static const double SECTOR_PX = 2.5;
 static const double CONTRAST_MIN = 1e-4, SCORE_MIN = 0.25;
 /* An oval is taken where so much of its rim agrees, and it leaves less than this share of what a
- * round outline leaves unexplained, or, where less of the rim agrees on the round one, less than this
- * share of its standard error: some two in three of an oval's sectors may lie on a circle beside its
- * middle, which explains what it still looks at. A disc that lost an arc is no such oval. */
+ * round outline leaves unexplained, or, where less of the rim agrees on the round one, less than
+ * this share of its standard error: some two in three of an oval's sectors may lie on a circle
+ * beside its middle, which explains what it still looks at. A disc that lost an arc is no such
+ * oval. */
 static const double OVAL_LEAVES = 0.5, RIM_AGREES = 0.85;
 /* A burn's outline is round to some per cent of its radius (one standard deviation per lobe). */
 static const double DESCRIPTOR_SD = 0.04, DESCRIPTOR_SD_MIN = 0.002;

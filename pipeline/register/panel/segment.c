@@ -4,8 +4,8 @@
  * Vincent 1993), connected components (pipeline/imaging), k-means of equal sections where several
  * grew together (Lloyd 1982).
  *
- * Steps. 1. gsn_segment_tissue(): what is black along a whole side of the picture, the scanner's bed
- * or the holder, is taken off; the histogram of the densities is parted into glass and tissue.
+ * Steps. 1. gsn_segment_tissue(): what is black along a whole side of the picture, the scanner's
+ * bed or the holder, is taken off; the histogram of the densities is parted into glass and tissue.
  * 2. gsn_segment_mask(): the mask in a frame of empty cells is closed with a cross, so that things
  * along the border do not grow; its components are found. Where threads are asked for, the mask is
  * worn down by crosses and squares in turn, as an octagon does, so that a thread counts the same
@@ -658,7 +658,8 @@ static int separate_sections(const struct gsn_components *components, size_t com
     return GSN_OK;
 }
 
-/* ---- torn sections, and all of it ------------------------------------------------------------- */
+/* ---- torn sections, and all of it
+ * ------------------------------------------------------------- */
 
 static int is_torn(const struct gsn_panel_region *region, double area)
 {

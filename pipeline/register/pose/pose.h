@@ -76,9 +76,10 @@ struct gsn_pose {
     double residual_um[GSN_FIDUCIALS];   /* distance of each mark from the mean triangle's; 0 where
                                         it was not found */
     struct gsn_point onto_um[GSN_FIDUCIALS]; /* where the common triangle has each mark, and how */
-    struct gsn_point off_um[GSN_FIDUCIALS];  /* far from it the section's lies: the residual's vector */
-    double rms_um;                       /* root mean square of those found */
-    double tre_um;                       /* predicted, root mean square over the targets */
+    struct gsn_point
+        off_um[GSN_FIDUCIALS]; /* far from it the section's lies: the residual's vector */
+    double rms_um;             /* root mean square of those found */
+    double tre_um;             /* predicted, root mean square over the targets */
     double chi2; /* of the residuals under the stack's covariance: 3 degrees of freedom with three
                     marks, 1 with two */
     int gross;   /* the marks contradict the stack by more than 0.1 % of good sections do, by the
@@ -113,7 +114,8 @@ struct gsn_pose_summary {
     int stretches;          /* sections differ in shape by more than the marks' errors make */
     double strain_sd[3];    /* standard deviation of their strain: common, x against y, shear */
     int as_declared;        /* they do, and what that makes of the mean by chance is all that the
-                               protocol's triangle differs from the mean one by (gsn_strain_of_mean) */
+                               protocol's triangle differs from the mean one by
+                               (gsn_strain_of_mean) */
     struct gsn_axes axes;
     int chirality; /* +1, -1: most sections have, or mirror, the protocol's triangle (+1 when no
                       triangle was given, or flips cannot be told) */

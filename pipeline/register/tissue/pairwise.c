@@ -3,13 +3,14 @@
 /* Registers one section onto another by their tissue alone, at all rotations and on both faces.
  *
  * Steps: (1) starts: the cross-correlation of the coarsest level of both sections by Fourier
- * transforms (phase correlation without whitening: the bands are even already), for every rotation in steps of 5 degrees (the plain face is the real part, the
- * mirrored one the imaginary: one transform serves both); the highest peaks, at most one of
- * rotations that are nearly the same. (2) Each start is improved in the two coarsest bands, by
- * Gauss-Newton on the differences of the bands (Lucas and Kanade 1981), cells that differ much
- * counting less (Cauchy weights). (3) The best of them and the best that is another go down to the
- * finest band; the more likely one is kept. (4) The same from b onto a: the pose is the motion half
- * way between both, and how far the two are apart says how well it is known.
+ * transforms (phase correlation without whitening: the bands are even already), for every rotation
+ * in steps of 5 degrees (the plain face is the real part, the mirrored one the imaginary: one
+ * transform serves both); the highest peaks, at most one of rotations that are nearly the same. (2)
+ * Each start is improved in the two coarsest bands, by Gauss-Newton on the differences of the bands
+ * (Lucas and Kanade 1981), cells that differ much counting less (Cauchy weights). (3) The best of
+ * them and the best that is another go down to the finest band; the more likely one is kept. (4)
+ * The same from b onto a: the pose is the motion half way between both, and how far the two are
+ * apart says how well it is known.
  *
  * A band of correlation rho carries information in proportion to rho^2 / (1 - rho^2); the evidence
  * is the logarithm of the likelihood ratio against sections that share nothing, over all bands.

@@ -6,7 +6,8 @@
  *
  *   1. Hough votes of steep places, for radii of 250 to 1400 um (Kimme, Ballard and Sklansky 1975).
  *   2. Around the twelve best bins the ring that is seen along most of its way.
- *   3. A ring that is seen along more than 70 % of it, of at least 40 % inside the box, is a bubble.
+ *   3. A ring that is seen along more than 70 % of it, of at least 40 % inside the box, is a
+ *      bubble.
  *
  * A rim that shows as no dark ring, as in thin mountant, is not found. */
 #include "pipeline/core/mem.h"
@@ -35,8 +36,8 @@ enum {
 /* Rise of the dark dye over two cells that makes a vote. */
 #define STEEP 0.04
 
-/* A ring is seen along more than this share of its way, and not along a smaller share of it by chance: the
- * rest may lie beneath a fold or outside of the box. */
+/* A ring is seen along more than this share of its way, and not along a smaller share of it by
+ * chance: the rest may lie beneath a fold or outside of the box. */
 #define SEEN 0.7
 #define LEAST_IN_BOX 0.4
 

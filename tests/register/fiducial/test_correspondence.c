@@ -925,8 +925,9 @@ TEST(the_agreed_triangle_numbers_every_section_alike)
     }
 }
 
-/* As many spots as a section of dirty tissue has, and no mark. An agreement that chance makes in one
- * of twenty stacks is taken for one; of 100 more than 12 is no such chance (one in a thousand). */
+/* As many spots as a section of dirty tissue has, and no mark. An agreement that chance makes in
+ * one of twenty stacks is taken for one; of 100 more than 12 is no such chance (one in a
+ * thousand). */
 TEST(spots_at_random_seldom_share_a_triangle)
 {
     static struct gsn_fiducial_candidates sections[24];

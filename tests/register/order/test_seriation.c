@@ -103,7 +103,8 @@ TEST(two_exchanged_sections_fit_better_where_the_other_lies)
     for (size_t i = 0; i < SECTIONS; i++)
         for (size_t j = i + 1; j < SECTIONS; j++) {
             CHECK(gsn_seriation_exchange_gain(right, i, j) <= 0);
-            CHECK(gsn_seriation_exchange_gain(wrong, i, j) <= gsn_seriation_exchange_gain(wrong, 3, 7));
+            CHECK(gsn_seriation_exchange_gain(wrong, i, j) <=
+                  gsn_seriation_exchange_gain(wrong, 3, 7));
         }
     print_message("  %.1f swapped, %.1f in order\n", gsn_seriation_exchange_gain(wrong, 3, 7),
                   gsn_seriation_exchange_gain(right, 3, 7));

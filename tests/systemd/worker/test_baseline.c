@@ -236,7 +236,11 @@ TEST(a_named_region_is_compared_with_the_baselines_of_its_name)
                                                 .part_count = 1 };
     struct gsn_measure_row rows[] = {
         { .name = "mean_density", .value = 0.75, .lower = NAN, .upper = NAN, .unit = "density" },
-        { .name = "left/mean_density", .value = 0.5, .lower = NAN, .upper = NAN, .unit = "density" },
+        { .name = "left/mean_density",
+          .value = 0.5,
+          .lower = NAN,
+          .upper = NAN,
+          .unit = "density" },
         { .name = "left/region_volume", .value = 0.25, .lower = NAN, .upper = NAN, .unit = "mm3" },
     };
     scratch_auto scratch = gsn_scratch_new();

@@ -25,15 +25,17 @@ static char *make_report(double density, double loss)
 {
     char *text = gsn_format(
         "{\"schema\": \"gieson-report-1\", \"kind\": \"specimen\", \"loss_percent\": %.6f, "
-        "\"loss_interval\": {\"lower\": %.6f, \"upper\": %.6f}, \"region\": {\"volume_mm3\": 0.98}, "
+        "\"loss_interval\": {\"lower\": %.6f, \"upper\": %.6f}, \"region\": {\"volume_mm3\": "
+        "0.98}, "
         "\"mean\": %.6f, \"volumes\": [{\"threshold\": 0.3, \"estimate_mm3\": %.6f}, "
-        "{\"threshold\": 0.5, \"estimate_mm3\": %.6f}, {\"threshold\": 0.7, \"estimate_mm3\": %.6f}]",
+        "{\"threshold\": 0.5, \"estimate_mm3\": %.6f}, {\"threshold\": 0.7, \"estimate_mm3\": "
+        "%.6f}]",
         loss, loss - 0.4, loss + 0.4, density, density, 0.8 * density, 0.6 * density);
 
     for (int i = 0; i < SECTIONS; i++) {
-        char *const more = gsn_format("%s%s{\"serial\": %d, \"filler\": \"%01200d\"}%s", text,
-                                      i ? "," : ", \"sections\": [", i, 0,
-                                      i == SECTIONS - 1 ? "]}" : "");
+        char *const more =
+            gsn_format("%s%s{\"serial\": %d, \"filler\": \"%01200d\"}%s", text,
+                       i ? "," : ", \"sections\": [", i, 0, i == SECTIONS - 1 ? "]}" : "");
 
         gsn_free(text);
         text = more;
@@ -50,11 +52,9 @@ static void add_run(const struct gsn_scratch *scratch, struct gsn_store *store, 
                                      .version = "1",
                                      .inputs_json = "[]",
                                      .parameters_json = "{}" };
-    const struct gsn_measure_row measure[] = { { .name = "mean_density",
-                                                 .value = density,
-                                                 .lower = NAN,
-                                                 .upper = NAN,
-                                                 .unit = "density" } };
+    const struct gsn_measure_row measure[] = {
+        { .name = "mean_density", .value = density, .lower = NAN, .upper = NAN, .unit = "density" }
+    };
     gsn_auto_mem(char) folder = gsn_format("%s/reports/%s/k", scratch->dir, name);
     gsn_auto_mem(char) path = gsn_format("reports/%s/k/report.json", name);
     gsn_auto_mem(char) page = gsn_format("reports/%s/k/report.html", name);

@@ -19,7 +19,7 @@
  * outside to outside; (6) cells whose triangles are too far, or whose edges are too long, are
  * bisected, and again from (2).
  *
- * Failure: GSN_E_LIMIT, GSN_E_NOMEM. It ends at MOST_CELLS with what was reached, and says so in
+ * Failure: GSN_E_LIMIT, GSN_E_NOMEM. It ends at so many cells with what was reached, and says so in
  * error_um. Cost: one value a corner and some eight an edge that passes the level, of all rounds
  * once; and the neighbours of all cells, each round anew. */
 #include "pipeline/render/isosurface.h"
@@ -844,9 +844,15 @@ static int march_round(const struct level_function *level,
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu cells", mesh->tet_count);
     r = march(level, options->threads, &last, marching, err);
     marching_done(&last);
-    if (r < 0 || mesh->tet_count > MOST_CELLS ||
-        limit_cells(mesh, marching->surface, marching->cell, options, limit) == 0)
+    if (r < 0 || limit_cells(mesh, marching->surface, marching->cell, options, limit) == 0)
         return r;
+    if (mesh->tet_count > options->most_cells)
+        return options->edge_um > 0
+                   ? gsn_fail(err, GSN_E_LIMIT,
+                              "cells with edges of %g um along the whole surface are more than "
+                              "can be held: ask for longer ones",
+                              options->edge_um)
+                   : GSN_OK;
     return gsn_tets_bisect_behind(mesh, limit, ret_finer, err);
 }
 
@@ -889,9 +895,11 @@ int gsn_isosurface(const struct gsn_spline *spline, const struct gsn_isosurface_
                         options->error_um, options->edge_um);
     if (full.error_um == 0 && full.edge_um == 0)
         full.error_um = USUAL_ERROR * mean;
+    if (full.most_cells == 0)
+        full.most_cells = MOST_CELLS;
     r = gsn_level_cells(spline, options->level,
                         full.error_um > 0 ? full.error_um : ARC * full.edge_um, LEAST_CELL * mean,
-                        &mesh, err);
+                        full.most_cells, &mesh, err);
     if (r >= 0)
         r = march_rounds(spline, mesh, &full, &marching, err);
     if (r >= 0)

@@ -40,15 +40,16 @@ struct gsn_isosurface_options {
     double level;
     const struct gsn_border *border; /* of a region; NULL: all of the domain */
     double error_um;                 /* that triangles may lie from the surface; 0: not asked */
-    double edge_um;   /* of a cell that the surface passes, at most; 0: not asked. Neither asked: an
+    double edge_um; /* of a cell that the surface passes, at most; 0: not asked. Neither asked: an
                       * error of a hundredth of the mean edge of the mesh */
-    unsigned threads; /* 0: all; the same bytes on any number */
+    size_t most_cells; /* with more it is split no further; 0: 2^23 */
+    unsigned threads;  /* 0: all; the same bytes on any number */
 };
 
 /* gives: the surface; it has no triangles when s does not cross the level. Closed pieces smaller
- * than an eighth of the mean edge of the mesh may be missed. It ends when there are 2^23 cells,
- * whatever was asked. Fails with GSN_E_INPUT when a number is out of range, GSN_E_LIMIT,
- * GSN_E_NOMEM. */
+ * than an eighth of the mean edge of the mesh may be missed. Where most_cells ends it, error_um of
+ * the surface says what was reached; edges that are asked for and not reached are GSN_E_LIMIT.
+ * Fails with GSN_E_INPUT when a number is out of range, and with GSN_E_NOMEM. */
 int gsn_isosurface(const struct gsn_spline *spline, const struct gsn_isosurface_options *options,
                    struct gsn_trimesh **ret_surface, struct gsn_error *err);
 

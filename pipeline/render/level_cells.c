@@ -15,7 +15,7 @@
  * cell of the refinement finds the tetrahedron that holds it, and its coefficients there;
  * (3) doubtful cells are halved, until there are none or they are small.
  *
- * Failure: GSN_E_LIMIT, GSN_E_NOMEM. Cost: the polynomials once a round, some thousand operations a
+ * Failure: GSN_E_NOMEM. Cost: the polynomials once a round, some thousand operations a
  * cell of a tetrahedron that the level may pass; no value of s. */
 #include "pipeline/render/level_cells.h"
 
@@ -298,7 +298,7 @@ static int split_doubtful(const struct gsn_spline *spline, double level, double 
 }
 
 int gsn_level_cells(const struct gsn_spline *spline, double level, double error_um, double least_um,
-                    struct gsn_tets **ret_cells, struct gsn_error *err)
+                    size_t most_cells, struct gsn_tets **ret_cells, struct gsn_error *err)
 {
     const struct gsn_tets *const mesh = gsn_dms_mesh(gsn_spline_space(spline));
     gsn_auto(gsn_tets) cells = NULL;
@@ -307,7 +307,8 @@ int gsn_level_cells(const struct gsn_spline *spline, double level, double error_
     assert(error_um >= 0 && least_um > 0);
     r = gsn_tets_new((const double(*)[3])mesh->vertex, mesh->vertex_count,
                      (const uint32_t(*)[4])mesh->tet, mesh->tet_count, &cells, err);
-    for (int round = 0; round < MOST_ROUNDS && !done && r >= 0; round++)
+    for (int round = 0; r >= 0 && !done && round < MOST_ROUNDS && cells->tet_count <= most_cells;
+         round++)
         r = split_doubtful(spline, level, error_um, least_um, &cells, &done, err);
     if (r < 0)
         return r;

@@ -13,11 +13,12 @@ extern "C" {
 /* gives: a refinement of the spline's mesh. No closed piece of {s = level} hides in one of its
  * tetrahedra, and none bulges through a face or an edge by more than error_um (estimated), where
  * all its corners lie on one side; but for tetrahedra whose edges are all at most least_um long,
- * and for what the seams between tetrahedra add. error_um >= 0, least_um > 0. Fails with
- * GSN_E_LIMIT beyond 2^24 tetrahedra, GSN_E_NOMEM. Source: Bernstein's bounds (Farouki 2012) and
+ * for what the seams between tetrahedra add, and where more than most_cells end it. error_um >= 0,
+ * least_um > 0. Fails with GSN_E_NOMEM. Source: Bernstein's bounds (Farouki 2012) and
  * gsn_tets_bisect(). */
-int gsn_level_cells(const struct gsn_spline *spline, double level, double error_um, double least_um,
-                    struct gsn_tets **ret_cells, struct gsn_error *err);
+int gsn_level_cells(const struct gsn_spline *spline, double level, double error_um,
+                    double least_um, size_t most_cells, struct gsn_tets **ret_cells,
+                    struct gsn_error *err);
 
 #ifdef __cplusplus
 }

@@ -293,7 +293,14 @@ static int measure_region(const struct voxels *v, const struct gsn_grid *grid,
 /* ---- pictures ---------------------------------------------------------------------------- */
 
 static const double SURFACE_WITHIN_PX = 0.5;
-enum { CUT_PX = 480, XRAY_PX = 440, XRAY_RAYS = 2, SURFACE_PX = 600, GUTTER_PX = 12 };
+enum {
+    SURFACE_CELLS = 1 << 18,
+    CUT_PX = 480,
+    XRAY_PX = 440,
+    XRAY_RAYS = 2,
+    SURFACE_PX = 600,
+    GUTTER_PX = 12
+};
 
 static int encode_picture(const struct gsn_image *image, struct gsn_png_picture *picture,
                           struct gsn_error *err)
@@ -505,6 +512,7 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
     struct gsn_isosurface_options wanted = {
         .level = analysis->bound[analysis->bound_count / 2].threshold,
         .border = border,
+        .most_cells = SURFACE_CELLS,
         .threads = options->threads,
     };
     const struct gsn_view view = view_of(SURFACE_PX);

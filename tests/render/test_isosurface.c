@@ -207,6 +207,23 @@ TEST(edges_are_as_short_as_asked_where_the_surface_is_and_long_elsewhere)
     kuhn_done(&kuhn);
 }
 
+TEST(too_many_cells_end_it_with_what_was_reached_or_refuse_edges)
+{
+    struct gsn_isosurface_options options = { .error_um = 0.01, .most_cells = 4000 };
+    gsn_auto(gsn_trimesh) surface = NULL;
+    struct gsn_trimesh *refused = NULL;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
+    CHECK_OK(gsn_isosurface(kuhn.spline, &options, &surface, &err), err);
+    CHECK(surface->error_um > 0.01 && surface->error_um < 10 && open_edges(surface) == 0);
+    options = (struct gsn_isosurface_options){ .edge_um = 1, .most_cells = 4000 };
+    CHECK(gsn_isosurface(kuhn.spline, &options, &refused, &err) == GSN_E_LIMIT);
+    CHECK(refused == NULL && strstr(err.text, "edges of 1 um") != NULL);
+    kuhn_done(&kuhn);
+}
+
 /* Half a ball: of a region that ends at x = 0. */
 TEST(a_surface_is_closed_where_the_region_ends)
 {

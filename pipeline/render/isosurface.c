@@ -27,7 +27,6 @@
 #include "pipeline/core/error.h"
 #include "pipeline/core/geom.h"
 #include "pipeline/core/mem.h"
-#include "pipeline/model/barycentric.h"
 #include "pipeline/model/batch.h"
 #include "pipeline/model/bisection.h"
 #include "pipeline/model/spline.h"
@@ -771,20 +770,6 @@ static double triangle_error(const struct gsn_trimesh *surface, size_t triangle)
     return error;
 }
 
-static double longest_edge(const struct gsn_tets *mesh, size_t cell)
-{
-    double longest = 0;
-
-    for (unsigned a = 0; a < 3; a++)
-        for (unsigned b = a + 1; b < 4; b++) {
-            double edge[3];
-
-            gsn_subtract(mesh->vertex[mesh->tet[cell][a]], mesh->vertex[mesh->tet[cell][b]], edge);
-            longest = fmax(longest, gsn_dot(edge, edge));
-        }
-    return sqrt(longest);
-}
-
 static double mean_edge(const struct gsn_tets *mesh)
 {
     double volume = 0;
@@ -817,7 +802,7 @@ static size_t limit_cells(const struct gsn_tets *mesh, const struct gsn_trimesh 
 
     for (size_t t = 0; t < surface->triangle_count; t++) {
         const double part =
-            part_of(options, triangle_error(surface, t), longest_edge(mesh, cell[t]));
+            part_of(options, triangle_error(surface, t), gsn_cell_longest_edge(mesh, cell[t]));
         const double most = part * gsn_tets_volume(mesh, cell[t]);
 
         if (part == 1)

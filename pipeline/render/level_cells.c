@@ -204,7 +204,7 @@ static int is_doubtful(struct bernstein *p, const struct gsn_dms *space, double 
 
 /* --- rounds --- */
 
-static double longest_edge(const struct gsn_tets *cells, size_t cell)
+double gsn_cell_longest_edge(const struct gsn_tets *cells, size_t cell)
 {
     double longest = 0;
 
@@ -258,7 +258,7 @@ static size_t doubt_cells(const struct gsn_spline *spline, double level, double 
     struct root root;
 
     for (size_t cell = 0; cell < cells->tet_count; cell++) {
-        const double longest = longest_edge(cells, cell);
+        const double longest = gsn_cell_longest_edge(cells, cell);
 
         limit[cell] = 0;
         if (longest <= least_um)

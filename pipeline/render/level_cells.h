@@ -20,6 +20,9 @@ int gsn_level_cells(const struct gsn_spline *spline, double level, double error_
                     double least_um, size_t most_cells, struct gsn_tets **ret_cells,
                     struct gsn_error *err);
 
+/* um. */
+double gsn_cell_longest_edge(const struct gsn_tets *cells, size_t cell);
+
 #ifdef __cplusplus
 }
 #endif

@@ -15,7 +15,7 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "numbers are written as they lie");
 
-enum { MOST_ARRAYS = 9, XML_ROOM = 4096, NUMBER_ROOM = 28, ROW_ROOM = 10 * NUMBER_ROOM };
+enum { MOST_ARRAYS = 9, XML_ROOM = 4096, NUMBER_ROOM = 28, ROW_ROOM = 15 * NUMBER_ROOM };
 
 /* ---- VTU ----------------------------------------------------------------------------------- */
 
@@ -176,6 +176,52 @@ int gsn_units_csv_write(const struct gsn_model *model, uint8_t **ret_bytes, size
     memcpy(text, head, n);
     for (size_t t = 0; t < tets; t++)
         n += put_row(model, t, text + n);
+    *ret_bytes = (uint8_t *)text;
+    *ret_size = n;
+    return GSN_OK;
+}
+
+static size_t put_base_row(const struct gsn_base_side *side, const struct gsn_base_cell *cell,
+                           const struct gsn_loss_cell *loss, char *at)
+{
+    size_t n = (size_t)snprintf(at, ROW_ROOM, "%d,%d,%d,%d", cell->address.cube[0],
+                                cell->address.cube[1], cell->address.cube[2], cell->address.tet);
+    double corner[4][3];
+
+    gsn_base_corners(cell->address, corner);
+    for (int c = 0; c < 3; c++)
+        n += put_number(at + n, 0.25 * (corner[0][c] + corner[1][c] + corner[2][c] + corner[3][c]));
+    n += put_number(at + n, cell->volume_um3);
+    n += put_number(at + n, cell->mean);
+    n += put_number(at + n, side->plane_error / sqrt(cell->planes));
+    n += put_number(at + n, loss ? loss->control : (double)NAN);
+    n += put_number(at + n, loss ? loss->control_error : (double)NAN);
+    n += put_number(at + n, loss ? loss->percent : (double)NAN);
+    n += put_number(at + n, loss ? loss->error : (double)NAN);
+    n += (size_t)snprintf(at + n, NUMBER_ROOM, "\r\n");
+    return n;
+}
+
+int gsn_base_csv_write(const struct gsn_base_side *side, const struct gsn_loss_map *map,
+                       uint8_t **ret_bytes, size_t *ret_size, struct gsn_error *err)
+{
+    static const char head[] =
+        "cube_x,cube_y,cube_z,tet,x_um,y_um,z_um,volume_um3,density,density_error,"
+        "baseline_density,baseline_error,loss_percent,loss_error\r\n";
+    const struct gsn_base_cells *const cells = side->cells;
+    char *text = gsn_alloc_array(sizeof head + cells->count * ROW_ROOM, 1);
+    size_t n = sizeof head - 1, lost = 0;
+
+    if (!text)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a table of %zu cells", cells->count);
+    memcpy(text, head, n);
+    for (size_t i = 0; i < cells->count; i++) {
+        const struct gsn_loss_cell *const next = map && lost < map->count ? &map->cell[lost] : NULL;
+        const int has_loss = next && gsn_base_compare(next->address, cells->cell[i].address) == 0;
+
+        n += put_base_row(side, &cells->cell[i], has_loss ? next : NULL, text + n);
+        lost += (size_t)has_loss;
+    }
     *ret_bytes = (uint8_t *)text;
     *ret_size = n;
     return GSN_OK;

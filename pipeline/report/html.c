@@ -6,9 +6,9 @@
  * escape (text.h).
  *
  * Steps: (1) head with the policy (html_elements.c); (2) title and contents, a link for each part
- * that is there; (3) verdict, the one figure that is asked for, cards; (4) warnings, volumes,
- * model, pictures, charts, contact sheet, lists, methods, provenance, each left out where the
- * report has nothing for it; (5) foot and script.
+ * that is there; (3) verdict, the one figure that is asked for, cards; (4) warnings, where it was
+ * lost, volumes, model, pictures, charts, contact sheet, lists, methods, provenance, each left out
+ * where the report has nothing for it; (5) foot and script.
  *
  * Failure: the text remembers that memory ran out, and is asked once. Cost: linear in what is
  * shown; pictures grow by a third as base64. */
@@ -57,10 +57,16 @@ static int has_charts(const struct gsn_report *report)
     return (report->registration && report->section_count > 0) || report->units;
 }
 
+static int has_loss_map(const struct gsn_report *report)
+{
+    return report->loss_map || gsn_html_is_said(report->loss_map_reason);
+}
+
 static void add_contents(struct gsn_report_text *text, const struct gsn_report *report)
 {
     gsn_report_text_raw(text, "<nav aria-label=\"Contents\"><ul>\n");
     add_link(text, "warnings", "Warnings", report->warning_count > 0);
+    add_link(text, "lost", "Where it was lost", has_loss_map(report));
     add_link(text, "regions", "Regions", report->named_count > 0);
     add_link(text, "volumes", "Volumes", report->volume_count > 0);
     add_link(text, "model", "Model", report->model != NULL);
@@ -350,6 +356,21 @@ static void add_image(struct gsn_report_text *text, const struct gsn_report_pict
         gsn_report_text_raw(text, "</div>");
 }
 
+static void add_images(struct gsn_report_text *text, const struct gsn_report_picture *pictures,
+                       size_t count)
+{
+    gsn_report_text_raw(text, "<div class=\"pictures\">\n");
+    for (size_t i = 0; i < count; i++) {
+        add_image(text, &pictures[i]);
+        gsn_report_text_raw(text, "<figcaption><h3>");
+        gsn_report_text_escape(text, pictures[i].title);
+        gsn_report_text_raw(text, "</h3><p>");
+        gsn_report_text_escape(text, pictures[i].caption);
+        gsn_report_text_raw(text, "</p></figcaption></figure>\n");
+    }
+    gsn_report_text_raw(text, "</div>");
+}
+
 static void add_pictures(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->picture_count == 0)
@@ -363,18 +384,53 @@ static void add_pictures(struct gsn_report_text *text, const struct gsn_report *
             "follows the tissue that it should. The line lies elsewhere: correct "
             "<code>region</code> in job.json. A step between rows of a cut through the stack: "
             "look at those sections in the contact sheet.</p>\n");
-    gsn_report_text_raw(text, "<div class=\"pictures\">\n");
-    for (size_t i = 0; i < report->picture_count; i++) {
-        const struct gsn_report_picture *picture = &report->pictures[i];
+    add_images(text, report->pictures, report->picture_count);
+    gsn_report_text_raw(text, "</section>\n");
+}
 
-        add_image(text, picture);
-        gsn_report_text_raw(text, "<figcaption><h3>");
-        gsn_report_text_escape(text, picture->title);
-        gsn_report_text_raw(text, "</h3><p>");
-        gsn_report_text_escape(text, picture->caption);
-        gsn_report_text_raw(text, "</p></figcaption></figure>\n");
+static void add_percent(struct gsn_report_text *text, const char *before, double value,
+                        const char *behind)
+{
+    gsn_report_text_raw(text, before);
+    gsn_report_text_number(text, value, 1);
+    gsn_report_text_raw(text, behind);
+}
+
+/* Where it was lost, or why that is not known. */
+static void add_loss_map(struct gsn_report_text *text, const struct gsn_report *report)
+{
+    const struct gsn_report_loss_map *const map = report->loss_map;
+
+    if (!has_loss_map(report))
+        return;
+    gsn_report_text_raw(text,
+                        "<section id=\"lost\"><h2>Where it was lost</h2>\n<p class=\"lead\">");
+    if (!map) {
+        gsn_report_text_raw(text, "There is no map of the loss: ");
+        gsn_report_text_escape(text, report->loss_map_reason);
+        gsn_report_text_raw(text, ".</p></section>\n");
+        return;
     }
-    gsn_report_text_raw(text, "</div></section>\n");
+    add_percent(text, "Half of the baseline's collagen lies where more than ", map->median,
+                " % of it was lost; ");
+    add_percent(text, "a twentieth where less than ", map->low, " % was, ");
+    add_percent(text, "a twentieth where more than ", map->high, " % was. ");
+    if (isfinite(map->noise))
+        add_percent(text, "Sections alone make one cell uncertain by ", map->noise,
+                    " points (standard error): a spread not much wider than that says nothing of "
+                    "the tissue. ");
+    gsn_report_text_raw(text, "The cells are ");
+    gsn_report_text_count(text, map->cells);
+    gsn_report_text_print(text,
+                          " tetrahedra, six a cube of %g \xC2\xB5m, the same in every specimen; ",
+                          map->edge_um);
+    add_percent(text, "they hold ", 100 * map->shared, " % of this region. ");
+    gsn_report_text_raw(text,
+                        "A cell is one piece of the block, laid by the marks: where two animals "
+                        "differ in shape, an edge of tissue shows as loss or gain. All of them are "
+                        "in <code>base-cells.csv</code> beside this page.</p>\n");
+    add_images(text, map->pictures, map->picture_count);
+    gsn_report_text_raw(text, "</section>\n");
 }
 
 static void add_charts(struct gsn_report_text *text, const struct gsn_report *report)
@@ -434,6 +490,7 @@ int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *re
     add_contents(&text, report);
     add_summary(&text, report);
     add_warnings(&text, report);
+    add_loss_map(&text, report);
     gsn_html_named(&text, report);
     gsn_html_volumes(&text, report);
     gsn_html_viewer(&text, report);

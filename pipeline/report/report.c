@@ -381,13 +381,13 @@ static json_t *decisions_of(const struct gsn_report *report, struct gsn_json_wri
     return array;
 }
 
-static json_t *pictures_of(const struct gsn_report *report, struct gsn_json_writer *writer,
-                           struct gsn_error *err)
+static json_t *pictures_of(const struct gsn_report_picture *pictures, size_t count,
+                           struct gsn_json_writer *writer, struct gsn_error *err)
 {
     json_t *array = json_array();
 
-    for (size_t i = 0; i < report->picture_count; i++) {
-        const struct gsn_report_picture *picture = &report->pictures[i];
+    for (size_t i = 0; i < count; i++) {
+        const struct gsn_report_picture *picture = &pictures[i];
         struct gsn_digest digest = { "" };
         json_t *object = json_object();
 
@@ -406,6 +406,27 @@ static json_t *pictures_of(const struct gsn_report *report, struct gsn_json_writ
         gsn_json_append(writer, array, object);
     }
     return array;
+}
+
+static json_t *json_loss_map(const struct gsn_report *report, struct gsn_json_writer *writer,
+                             struct gsn_error *err)
+{
+    const struct gsn_report_loss_map *const map = report->loss_map;
+    json_t *object;
+
+    if (!map)
+        return json_null();
+    object = json_object();
+    gsn_json_put(writer, object, "edge_um", gsn_json_figure(map->edge_um));
+    gsn_json_put(writer, object, "cells", gsn_json_count(map->cells));
+    gsn_json_put(writer, object, "shared", gsn_json_figure(map->shared));
+    gsn_json_put(writer, object, "low_percent", gsn_json_figure(map->low));
+    gsn_json_put(writer, object, "median_percent", gsn_json_figure(map->median));
+    gsn_json_put(writer, object, "high_percent", gsn_json_figure(map->high));
+    gsn_json_put(writer, object, "cell_error_percent", gsn_json_figure(map->noise));
+    gsn_json_put(writer, object, "pictures",
+                 pictures_of(map->pictures, map->picture_count, writer, err));
+    return object;
 }
 
 static json_t *exclusions_of(const struct gsn_report *report, struct gsn_json_writer *writer)
@@ -499,6 +520,8 @@ static json_t *build_json(const struct gsn_report *report, struct gsn_json_write
     json_t *root = json_object();
 
     put_head(report, root, writer);
+    gsn_json_put(writer, root, "loss_map", json_loss_map(report, writer, err));
+    gsn_json_put(writer, root, "loss_map_reason", gsn_json_text_or_null(report->loss_map_reason));
     gsn_json_put(writer, root, "region", json_region(&report->region, writer));
     if (report->named_count > 0)
         gsn_json_put(writer, root, "regions", json_all_named(report, writer));
@@ -512,7 +535,8 @@ static json_t *build_json(const struct gsn_report *report, struct gsn_json_write
     gsn_json_put(writer, root, "tile", json_tile(report->tile, writer));
     gsn_json_put(writer, root, "measures",
                  values_of(report->measures, report->measure_count, writer));
-    gsn_json_put(writer, root, "pictures", pictures_of(report, writer, err));
+    gsn_json_put(writer, root, "pictures",
+                 pictures_of(report->pictures, report->picture_count, writer, err));
     gsn_json_put(writer, root, "warnings",
                  gsn_json_texts(report->warnings, report->warning_count, writer));
     gsn_json_put(writer, root, "exclusions", exclusions_of(report, writer));

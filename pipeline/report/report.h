@@ -168,6 +168,17 @@ struct gsn_report_units {
     double smallest, median, largest;
 };
 
+/* The loss cell by cell on the mesh that specimens share. */
+struct gsn_report_loss_map {
+    double edge_um; /* of a cube; each has six cells */
+    size_t cells;
+    double shared;            /* of this region's volume that both have, 0..1 */
+    double low, median, high; /* 5, 50 and 95 % of the baseline's collagen lost no more, per cent */
+    double noise;             /* standard error of one cell by sections, typical; NaN: not known */
+    const struct gsn_report_picture *pictures;
+    size_t picture_count;
+};
+
 /* For kind "tile": the collagen map, and its comparison with a mask where one was given. */
 struct gsn_report_tile {
     double area_fraction; /* collagen of tissue */
@@ -231,11 +242,14 @@ struct gsn_report {
     double loss_percent;       /* relative per cent of the baseline's density; NaN: withheld */
     double loss_points;        /* difference of the mean densities in points of density (0..100) */
     double loss_lower, loss_upper; /* its interval, per cent, where loss_interval says of what */
-    const char *loss_interval;  /* "95 %, stain, white and sections"; NULL: no interval is known */
-    const char *loss_reason;    /* why it is withheld */
-    double baseline_mean;       /* density */
-    double baseline_volume_mm3; /* of its region, where that has another size; 0: it has not */
-    double zero_density;        /* that no collagen reads as, from which both are counted; NaN: 0 */
+    const char *loss_interval; /* "95 %, stain, white and sections"; NULL: no interval is known */
+    const char *loss_reason;   /* why it is withheld */
+    const struct gsn_report_loss_map *loss_map; /* NULL: none */
+    const char *loss_map_reason; /* why not, where there is a loss; NULL: there is a map, or none is
+                                    expected */
+    double baseline_mean;        /* density */
+    double baseline_volume_mm3;  /* of its region, where that has another size; 0: it has not */
+    double zero_density; /* that no collagen reads as, from which both are counted; NaN: 0 */
 
     const char *density_name;            /* "collagen-equivalent density" */
     const char *density_version;         /* "van-gieson-gvp-1" */

@@ -37,7 +37,8 @@ struct gsn_analysis {
     size_t over_tolerance; /* tetrahedra whose rms residual is above the tolerance */
     double coverage;       /* share of the region's voxels that have data, 0..1 */
     struct gsn_region_density density;
-    double section_error; /* of the mean density, by what each section errs by itself; NaN */
+    double section_error;   /* of the mean density, by what each section errs by itself; NaN */
+    double plane_error;     /* the same of one section in a cell of the base mesh; NaN */
     struct gsn_unit *units; /* owned; one per tetrahedron */
     struct gsn_units_summary summary;
     size_t bound_count;
@@ -47,8 +48,8 @@ struct gsn_analysis {
     struct gsn_bone bone;                /* above the density of above_threshold */
     int has_bone;                        /* 0: too many voxels to measure it in */
     double above_threshold, above_share; /* area figure: share of sampled voxels above it */
-    double low, high; /* ends of the pictures' colour scale */
-    const char *unit; /* of the values */
+    double low, high;                    /* ends of the pictures' colour scale */
+    const char *unit;                    /* of the values */
     size_t picture_count;
     struct gsn_png_picture picture[GSN_ANALYSIS_PICTURES];
 };

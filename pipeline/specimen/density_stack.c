@@ -101,7 +101,7 @@ void gsn_stack_light_table_done(struct gsn_stack_light_table *light)
 
 /* Shown at half its size, so that it can be enlarged; MANY of them weigh a megabyte in the page,
  * and so do more. */
-enum { THUMBNAIL_PX = 264, THUMBNAIL_QUALITY = 85, MANY = 60 };
+enum { THUMBNAIL_PX = 264, THUMBNAIL_QUALITY = 65, MANY = 60 };
 
 /* A hundredth of the tissue clipped is told; of a fifth the mean of what is left says little, for
  * it is the darkest that is missing. */

@@ -17,8 +17,9 @@
  *
  * Each part of the report fills its records of struct gsn_report and adds warnings: sections and
  * registration (report_sections.c), figures and parameters (report_figures.c), stain
- * (report_stain.c), loss (report_loss.c). Then the verdict: withheld with its reason, warned by the
- * first warning, or fine; then the bytes, and the measures that are kept as rows.
+ * (report_stain.c), loss (report_loss.c) and where it was lost (loss_map.c). Then the verdict:
+ * withheld with its reason, warned by the first warning, or fine; then the bytes, and the measures
+ * that are kept as rows.
  *
  * Most of the time is spent in the density stack (decoding, masks) and in the fit. */
 #include "pipeline/specimen/process.h"
@@ -183,6 +184,8 @@ static void keep_measures(const struct gsn_report_inputs *e, const struct gsn_bu
         measure_row(result, "own_scale_error", gsn_builder_own_scale_error(e), NAN, NAN, "density");
     if (e->analysis && isfinite(e->analysis->section_error))
         measure_row(result, "section_error", e->analysis->section_error, NAN, NAN, "density");
+    if (e->analysis && isfinite(e->analysis->plane_error))
+        measure_row(result, "plane_error", e->analysis->plane_error, NAN, NAN, "density");
     if (e->reconstruction && e->analysis) {
         const struct gsn_vector_scatter *turns = &e->reconstruction->scale.levelling.turns;
 
@@ -302,7 +305,10 @@ int gsn_report_build(const struct gsn_report_inputs *e, struct gsn_specimen_resu
     gsn_builder_parameters(e, &d);
     fill_named(e, result, &d);
     judge_verdict(e, &d);
-    r = fill_outputs(result, &d, err);
+    if (e->analysis && e->region)
+        r = gsn_builder_loss_map(e, &d, result, err);
+    if (r >= 0)
+        r = fill_outputs(result, &d, err);
     if (r >= 0 && !e->specimen->part)
         r = add_pdf(&d, result, err);
     if (r >= 0)
@@ -388,10 +394,9 @@ static int pack_model(const struct gsn_analysis *analysis, const struct gsn_mode
                       const struct gsn_mask *region, unsigned threads,
                       struct gsn_page_model **ret_page, struct gsn_error *err)
 {
-    const struct gsn_page_options options = { .region = region,
-                                              .low = analysis->low,
-                                              .high = analysis->high,
-                                              .most_bytes = GSN_PAGE_BYTES };
+    const struct gsn_page_options options = {
+        .region = region, .low = analysis->low, .high = analysis->high, .most_bytes = GSN_PAGE_BYTES
+    };
     gsn_auto(gsn_page_model) page = NULL;
     const int r = gsn_page_model_new(analysis->spline, cells, &options, threads, &page, err);
 
@@ -580,6 +585,8 @@ static int process_sections(const struct gsn_specimen *specimen,
         return r;
     inputs.reconstruction = stack;
     inputs.analysis = analysis;
+    inputs.region = stack ? stack->region : NULL;
+    inputs.threads = options->threads;
     inputs.page = page;
     inputs.withheld = analysis ? NULL : why.text;
     gsn_progress_say(options->progress, "report", 0, 1);
@@ -634,6 +641,8 @@ static int process_volume(const struct gsn_specimen *specimen,
     if (r < 0)
         return r;
     inputs.analysis = analysis;
+    inputs.region = made ? made : specimen->region;
+    inputs.threads = options->threads;
     inputs.page = page;
     inputs.withheld = analysis ? NULL : why.text;
     return gsn_report_build(&inputs, result, err);

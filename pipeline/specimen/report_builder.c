@@ -42,6 +42,8 @@ void gsn_builder_done(struct gsn_builder *d)
     gsn_free(d->decision);
     gsn_free(d->panel);
     gsn_free(d->input);
+    for (size_t i = 0; i < GSN_LOSS_PICTURES; i++)
+        gsn_free(d->loss_png[i].png);
 }
 
 int gsn_builder_init(struct gsn_builder *d, size_t sections, size_t panels, size_t inputs,

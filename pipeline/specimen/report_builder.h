@@ -14,6 +14,7 @@
 #include "pipeline/report/report.h"
 #include "pipeline/specimen/analysis.h"
 #include "pipeline/specimen/reconstruction.h"
+#include "pipeline/specimen/region_pictures.h"
 #include "pipeline/specimen/specimen.h"
 #include "pipeline/specimen/tile.h"
 #include "pipeline/stain/hue_distribution.h"
@@ -25,11 +26,13 @@ struct gsn_report_inputs {
     const struct gsn_specimen *specimen;
     const struct gsn_reconstruction *reconstruction;
     const struct gsn_analysis *analysis;
+    const struct gsn_mask *region;     /* of the analysis; NULL: no map of the loss is made */
     const struct gsn_page_model *page; /* the analysis's model for the viewer, or NULL */
     const struct gsn_tile *tile;
     struct gsn_gap_interpolation
         bridge;           /* what was bridged before the analysis; region 0: no sections */
     const char *withheld; /* the sentence why there is no analysis, or NULL */
+    unsigned threads;     /* 0: all */
 };
 
 /* How the baseline would read in this specimen's stain, by tissue outside of the region that nobody
@@ -57,7 +60,7 @@ struct gsn_builder {
     struct gsn_report report;
     char **text; /* owned */
     size_t text_count, text_room;
-    const char **warning; /* what costs most first */
+    const char **warning;          /* what costs most first */
     struct gsn_builder_cost *cost; /* of each of them */
     size_t warning_count;
     struct gsn_report_exclusion *exclusion;
@@ -79,12 +82,15 @@ struct gsn_builder {
     struct gsn_report_tile tile;
     struct gsn_report_model model;
     struct gsn_report_aligned aligned;
+    struct gsn_report_loss_map loss_map;
+    struct gsn_report_picture loss_picture[GSN_LOSS_PICTURES];
+    struct gsn_png_picture loss_png[GSN_LOSS_PICTURES]; /* their bytes owned */
     int linked; /* whether untreated tissue tells how the baseline was stained */
     struct gsn_batch_calibration link;
-    struct gsn_hue_edge edge;  /* of both specimens' colours, where the loss was narrowed by it */
-    size_t edge_panels;    /* that show it; 0: the loss was not */
-    int by_colours;        /* whether the loss is one whose vectors nobody measured */
-    double loss_by_colour; /* standard error of the loss that it leaves, per cent */
+    struct gsn_hue_edge edge; /* of both specimens' colours, where the loss was narrowed by it */
+    size_t edge_panels;       /* that show it; 0: the loss was not */
+    int by_colours;           /* whether the loss is one whose vectors nobody measured */
+    double loss_by_colour;    /* standard error of the loss that it leaves, per cent */
     int out_of_memory;
 };
 
@@ -156,6 +162,12 @@ int gsn_builder_calibrated(const struct gsn_report_inputs *e);
 
 /* report_loss.c: the loss, or why there is none. */
 void gsn_builder_loss(const struct gsn_report_inputs *e, struct gsn_builder *d);
+
+/* loss_map.c: where it was lost, cell by cell, or why that is not known; after the loss. Adds
+ * base-cells.csv to the result. There is an analysis. Fails with GSN_E_NOMEM and as the pictures'
+ * parts do. */
+int gsn_builder_loss_map(const struct gsn_report_inputs *e, struct gsn_builder *d,
+                         struct gsn_specimen_result *result, struct gsn_error *err);
 
 /* The first cause of what why says: the panels that gave nothing, by cause,
  * then why. No longer than a run's row keeps. */

@@ -43,14 +43,19 @@ struct gsn_specimen_decision {
     int is_pose; /* whether it chose a pose */
 };
 
+struct gsn_model; /* pipeline/model/model_file.h */
+
 /* What one specimen of a baseline hands on beside its figures. */
 struct gsn_specimen_control {
     struct gsn_control_tissues tissues;
     double yellow[GSN_CONTROL_TISSUES]; /* of them, OD; NaN: not seen */
-    double region_od[3];              /* mean R, G and B of its region; NaN: not known */
-    double free_od[3];                /* of its stated tissue without collagen; NaN: none */
-    double free_panels;               /* that it lies in; 0: not known */
-    struct gsn_cloud *cloud;          /* of its tissue; NULL: not known */
+    double region_od[3];                /* mean R, G and B of its region; NaN: not known */
+    double free_od[3];                  /* of its stated tissue without collagen; NaN: none */
+    double free_panels;                 /* that it lies in; 0: not known */
+    struct gsn_cloud *cloud;            /* of its tissue; NULL: not known */
+    double plane_error;                 /* as of struct gsn_analysis; NaN: not known */
+    const struct gsn_model *model;      /* fitted to it; NULL: not at hand, and why not */
+    const char *model_lacks;            /* the sentence; NULL: it was not asked for */
 };
 
 /* The control's figures; name is "" when the job states no baseline. */
@@ -78,23 +83,23 @@ struct gsn_specimen_baseline {
 
 /* One of the protocol's named regions. */
 struct gsn_specimen_region {
-    const struct gsn_mask *mask; /* of a mask file or of outlines, or NULL */
-    const char *drawn;           /* of outlines: where they were drawn; or NULL */
+    const struct gsn_mask *mask;           /* of a mask file or of outlines, or NULL */
+    const char *drawn;                     /* of outlines: where they were drawn; or NULL */
     struct gsn_specimen_baseline baseline; /* of the regions of that name */
 };
 
 struct gsn_specimen {
     const struct gsn_protocol *protocol;
     size_t panel_count;
-    const struct gsn_specimen_panel *panel; /* in order of number */
-    const struct gsn_mask *region;          /* of a mask file or of outlines, or NULL */
-    const char *region_drawn;               /* of outlines: where they were drawn; or NULL */
+    const struct gsn_specimen_panel *panel;  /* in order of number */
+    const struct gsn_mask *region;           /* of a mask file or of outlines, or NULL */
+    const char *region_drawn;                /* of outlines: where they were drawn; or NULL */
     const struct gsn_specimen_region *named; /* as many as the protocol names, in its order */
     const char *part; /* the name of the region that this is one of; NULL: the specimen itself */
-    const struct gsn_grid *volume;          /* kind volume */
-    const char *picture_sha256;             /* kind tile */
-    const char *reference_sha256;           /* kind tile, may be NULL */
-    const char *const *calibration_sha256;  /* one for each that the protocol states, in its order;
+    const struct gsn_grid *volume;         /* kind volume */
+    const char *picture_sha256;            /* kind tile */
+    const char *reference_sha256;          /* kind tile, may be NULL */
+    const char *const *calibration_sha256; /* one for each that the protocol states, in its order;
                                                an entry is NULL where the file did not come */
     struct gsn_specimen_baseline baseline;
     size_t input_count;
@@ -141,16 +146,17 @@ struct gsn_specimen_measure {
 };
 
 /* A file that is kept beside the report: "colour.nrrd", the stack in true colour (sections),
- * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit), "report.pdf",
- * the page on paper, and of each named
- * region "region-NAME.html" and "region-NAME.json", the report of a job that had it alone. */
+ * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit), "base-cells.csv",
+ * density and loss on the mesh that specimens share (export/cells_file.h; likewise), "report.pdf",
+ * the page on paper, and of each named region "region-NAME.html" and "region-NAME.json", the report
+ * of a job that had it alone. */
 struct gsn_specimen_file {
     char name[64];
     uint8_t *bytes; /* owned */
     size_t size;
 };
 
-enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 3 + 2 * GSN_MOST_REGIONS };
+enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 4 + 2 * GSN_MOST_REGIONS };
 
 struct gsn_specimen_result {
     int withheld;      /* 1: no figure could be given, the report says why */

@@ -35,6 +35,7 @@
 #include "storage/decision.h"
 #include "storage/panel_log.h"
 #include "systemd/worker/audit.h"
+#include "systemd/worker/kept_run.h"
 #include "systemd/worker/panel_job.h"
 #include "systemd/worker/rescan.h"
 #include "systemd/worker/study.h"
@@ -45,6 +46,13 @@ struct taken {
     const char *name; /* of the region; NULL: the main one */
     char *definition, *dyes, *rule;
     struct gsn_specimen_control *control;
+};
+
+/* The model that the last run of a control kept. */
+struct control_model {
+    char *specimen;
+    struct gsn_model *model; /* NULL: none is at hand, and why */
+    char *lacks;
 };
 
 struct gsn_job_inputs {
@@ -68,6 +76,7 @@ struct gsn_job_inputs {
     struct gsn_grid *volume;
     struct gsn_specimen_region named[GSN_MOST_REGIONS];
     struct taken taken[1 + GSN_MOST_REGIONS]; /* of the main region, and of each named one */
+    struct control_model *model;              /* of each control with figures of the main region */
     char *page;                               /* of the baseline */
     json_t *baseline_keys;
     char *inputs;
@@ -495,7 +504,9 @@ static int take_control(const struct taken *t, const struct figures *measures,
     struct gsn_specimen_baseline *b = t->into;
     struct gsn_specimen_control *control = &t->control[b->specimens++];
 
-    *control = (struct gsn_specimen_control){ .tissues = tissues_of(measures) };
+    *control =
+        (struct gsn_specimen_control){ .tissues = tissues_of(measures),
+                                       .plane_error = measure_named(measures, "plane_error") };
     add_tissues(&control->tissues, b);
     add_turns(measures, b);
     return read_colours(parameters, control, err);
@@ -548,6 +559,7 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
     gsn_auto(gsn_run_row) run = NULL;
     gsn_auto(gsn_measure_rows) measures = NULL;
     gsn_auto_mem(char) own_key = NULL;
+    const size_t before = m->specimen.baseline.specimens;
     struct gsn_error quiet = { 0 };
     json_t *root;
     int r = finished_run(m->store, control->id, &run, &quiet);
@@ -565,7 +577,37 @@ static int add_control(struct gsn_job_inputs *m, const struct gsn_specimen_row *
     for (size_t i = 0; r >= 0 && i <= m->protocol->named_count; i++)
         r = add_figures(&m->taken[i], measures, find_parameters(root, m->taken[i].name), err);
     json_decref(root);
+    if (r >= 0 && m->specimen.baseline.specimens > before) {
+        m->model[before].specimen = gsn_strdup(control->name);
+        if (!m->model[before].specimen)
+            r = gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    }
     return r;
+}
+
+/* The models of the main region's controls. One that is not at hand costs the map of the loss, not
+ * the loss. */
+static int take_models(struct gsn_job_inputs *m, struct gsn_error *err)
+{
+    for (size_t i = 0; i < m->specimen.baseline.specimens; i++) {
+        struct control_model *const c = &m->model[i];
+        struct gsn_specimen_control *const control = &m->taken[0].control[i];
+        gsn_auto(gsn_kept_run) kept = NULL;
+        struct gsn_error why = { 0 };
+        int r = gsn_kept_run_open(m->store, c->specimen, &kept, &why);
+
+        if (r >= 0)
+            r = gsn_kept_run_model(m->store, kept, &c->model, &why);
+        if (r < 0 && r != GSN_E_NOTFOUND && r != GSN_E_INPUT)
+            return gsn_fail(err, r, "the model of the baseline %s: %s", c->specimen, why.text);
+        c->lacks =
+            r < 0 ? gsn_format("the model of %s is not at hand: %s", c->specimen, why.text) : NULL;
+        if (r < 0 && !c->lacks)
+            return gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+        control->model = c->model;
+        control->model_lacks = c->lacks;
+    }
+    return GSN_OK;
 }
 
 /* From the folder of one specimen's run to the last report of another, by names alone: the same
@@ -621,6 +663,10 @@ static int take_baseline(struct gsn_job_inputs *m, struct gsn_error *err)
     if (!name[0])
         return GSN_OK;
     r = gsn_specimen_baseline(m->store, m->row->study, name, &controls, err);
+    if (r >= 0) {
+        m->model = gsn_alloc_array(controls->count + 1, sizeof *m->model);
+        r = m->model ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory for the baseline");
+    }
     for (size_t i = 0; r >= 0 && i < count; i++) {
         struct taken *t = &m->taken[i];
 
@@ -1005,6 +1051,8 @@ int gsn_job_inputs_load(struct gsn_store *store, int64_t specimen_id, struct gsn
         r = check_turns(m, err);
     if (r >= 0)
         r = take_files(m, err);
+    if (r >= 0)
+        r = take_models(m, err);
     if (r < 0)
         return r;
     *ret_inputs = gsn_steal(&m);
@@ -1044,6 +1092,12 @@ void gsn_job_inputs_free(struct gsn_job_inputs *m)
     gsn_free(m->pose);
     gsn_free(m->calibration_sha256);
     gsn_free(m->page);
+    for (size_t i = 0; m->model && i < m->specimen.baseline.specimens; i++) {
+        gsn_free(m->model[i].specimen);
+        gsn_model_free(m->model[i].model);
+        gsn_free(m->model[i].lacks);
+    }
+    gsn_free(m->model);
     for (size_t k = 0; k < sizeof m->taken / sizeof m->taken[0]; k++) {
         struct taken *t = &m->taken[k];
 

@@ -15,7 +15,7 @@ import re
 import sys
 
 SCOPE = ("pipeline/register", "pipeline/stain", "pipeline/specimen", "pipeline/measure/tissue_volume.c",
-         "pipeline/measure/loss.c")
+         "pipeline/measure/loss.c", "pipeline/measure/base_cells.c")
 WHOLE = re.compile(r"(?:^|_)(?:LEAST|FEWEST|MOST|MIN|MAX)(?:_|$)")
 COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.S)
 DEFINE = re.compile(r"^\s*#define\s+([A-Z]\w+)[ \t]+(\S.*?)[ \t]*$", re.M)

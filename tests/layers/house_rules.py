@@ -29,7 +29,7 @@ LAYERS = {
     "pipeline/model": ("pipeline/core",),
     "pipeline/measure": ("pipeline/core", "pipeline/model"),
     "pipeline/render": ("pipeline/core", "pipeline/model"),
-    "pipeline/export": ("pipeline/core", "pipeline/model", "pipeline/render"),
+    "pipeline/export": ("pipeline/core", "pipeline/model", "pipeline/measure", "pipeline/render"),
     "pipeline/library": ("pipeline/core", "pipeline/model", "pipeline/measure", "pipeline/render",
                          "pipeline/export"),
     "pipeline/report": ("pipeline/core", "pipeline/measure", "pipeline/render"),

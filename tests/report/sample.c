@@ -21,6 +21,7 @@ struct sample {
     struct gsn_report_tile tile;
     size_t bin[BINS];
     struct gsn_report_picture picture[PICTURES];
+    struct gsn_report_loss_map loss_map;
     struct gsn_report_aligned aligned;
 };
 
@@ -400,6 +401,15 @@ static int fill(struct sample *sample, enum gsn_report_kind kind, unsigned width
     }
     if (width && code >= 0)
         code = fill_pictures(sample, kind, width);
+    if (kind == GSN_REPORT_SPECIMEN) {
+        sample->loss_map =
+            (struct gsn_report_loss_map){ 200, 1265, .98, 8.5, 35.5, 69.1, 3.7, NULL, 0 };
+        if (width) {
+            sample->loss_map.pictures = sample->picture;
+            sample->loss_map.picture_count = 1;
+        }
+        r->loss_map = &sample->loss_map;
+    }
     if (width) {
         r->pictures = sample->picture;
         r->picture_count = kind == GSN_REPORT_TILE ? 2 : PICTURES;

@@ -279,6 +279,28 @@ TEST(from_what_both_densities_are_counted_stands_between_them_and_their_differen
     sample_free(sample);
 }
 
+TEST(where_it_was_lost_is_said_with_what_sections_alone_make_of_it_or_why_it_is_not_known)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
+    struct gsn_report *report = sample_report(sample);
+    gsn_auto_mem(char) page = page_of(report);
+
+    assert_non_null(strstr(page, "<a href=\"#lost\">Where it was lost</a>"));
+    assert_non_null(strstr(page, "lies where more than 35.5 % of it was lost; a twentieth where "
+                                 "less than 8.5 % was, a twentieth where more than 69.1 % was."));
+    assert_non_null(strstr(page, "uncertain by 3.7 points (standard error)"));
+    report->loss_map = NULL;
+    report->loss_map_reason = "the two regions <b>do not</b> meet";
+    gsn_auto_mem(char) without = page_of(report);
+
+    assert_non_null(strstr(without, "no map of the loss: the two regions &lt;b&gt;do not"));
+    report->loss_map_reason = NULL;
+    gsn_auto_mem(char) none = page_of(report);
+
+    assert_null(strstr(none, "Where it was lost"));
+    sample_free(sample);
+}
+
 TEST(a_withheld_loss_shows_its_reason_and_no_number)
 {
     struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);

@@ -84,6 +84,15 @@ TEST(the_keys_that_scripts_rely_on_are_there)
     CHECK_NEAR(number(root, "zero_density"), 0, 0);
     CHECK_NEAR(number(root, "loss_interval.lower"), 34.08, 1e-12);
     CHECK_NEAR(number(root, "loss_interval.upper"), 38.94, 1e-12);
+    CHECK_NEAR(number(root, "loss_map.edge_um"), 200, 0);
+    CHECK_NEAR(number(root, "loss_map.cells"), 1265, 0);
+    CHECK_NEAR(number(root, "loss_map.shared"), 0.98, 1e-12);
+    CHECK_NEAR(number(root, "loss_map.low_percent"), 8.5, 1e-12);
+    CHECK_NEAR(number(root, "loss_map.median_percent"), 35.5, 1e-12);
+    CHECK_NEAR(number(root, "loss_map.high_percent"), 69.1, 1e-12);
+    CHECK_NEAR(number(root, "loss_map.cell_error_percent"), 3.7, 1e-12);
+    assert_string_equal(string(root, "loss_map.pictures.0.id"), string(root, "pictures.0.id"));
+    CHECK(json_is_null(at(root, "loss_map_reason")));
     CHECK_NEAR(number(root, "region.volume_mm3"), 0.9802, 1e-12);
     CHECK_NEAR(number(root, "region.mean_density"), 0.53466, 1e-12);
     CHECK(json_array_size(at(root, "volumes")) == 3);
@@ -135,7 +144,11 @@ TEST(what_is_not_known_is_null)
     report->registration = NULL;
     report->fit = NULL;
     report->units = NULL;
+    report->loss_map = NULL;
+    report->loss_map_reason = "the two regions do not meet";
     root = parsed(report);
+    CHECK(json_is_null(at(root, "loss_map")));
+    assert_string_equal(string(root, "loss_map_reason"), "the two regions do not meet");
     CHECK(json_is_null(at(root, "loss_percent")));
     CHECK(json_is_null(at(root, "loss_interval")));
     CHECK(json_is_null(at(root, "zero_density")));

@@ -22,6 +22,7 @@ against the phantom's truth or against the same work done another way.
 BIN is the folder with the programs. Exit 0: all that was demanded holds; 77: material is missing.
 """
 import argparse
+import collections
 import csv
 import hashlib
 import json
@@ -36,7 +37,9 @@ import sys
 import tempfile
 import time
 
-import registration
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "phantom"))
+import recompute_loss  # noqa: E402  (the phantom's block, written a second time)
+import registration  # noqa: E402
 
 SHARED = pathlib.Path(__file__).resolve().parents[3] / "shared"
 SKIPPED = 77
@@ -132,6 +135,46 @@ def marks_wrong(report, folder):
     return wrong
 
 
+# Of cells of the map of the loss: how many intervals hold the truth at least; what the cells are off
+# by, in their own standard errors (root of the mean square), which texture that is no error makes
+# larger.
+CELLS_HELD, CELLS_OFF = 0.90, (0.5, 1.3)
+# Axes by falling fraction, as measure/base_cells.h numbers the tetrahedra of a cube.
+TETS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
+
+
+def cells_told(place, report, folder, specimen):
+    """(how often the interval of a cell's loss holds what the phantom lost there, what cells are off
+    by in standard errors, both in words); None for a control. Cells are found and filled a second
+    time here."""
+    if not report["loss_map"]:
+        return None
+    with open(folder / "truth" / "truth.json", encoding="utf-8") as file:
+        block = recompute_loss.Block(json.load(file))
+    key, step = report["loss_map"]["edge_um"], 20.0
+    truth = collections.defaultdict(lambda: [0.0, 0.0])
+    for point in block.region(step):
+        cube = [math.floor(x / key) for x in point]
+        order = sorted(range(3), key=lambda a: cube[a] - point[a] / key)
+        before, after = block.densities(*point)
+        cell = truth[(*cube, TETS.index(tuple(order)))]
+        cell[0] += before
+        cell[1] += after
+    rows = place.folder / "store" / "reports" / specimen / "latest" / "base-cells.csv"
+    off = []
+    with open(rows, encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            cell = truth.get(tuple(int(row[k]) for k in ("cube_x", "cube_y", "cube_z", "tet")))
+            # One that the region's border cuts off has too few midpoints here.
+            if not row["loss_percent"] or not cell or float(row["volume_um3"]) < key**3 / 12:
+                continue
+            lost = 100 * (1 - cell[1] / cell[0])
+            off.append((float(row["loss_percent"]) - lost) / float(row["loss_error"]))
+    held = sum(abs(z) <= 1.96 for z in off) / max(1, len(off))
+    rms = math.sqrt(sum(z * z for z in off) / max(1, len(off)))
+    return held, rms, f"held {100 * held:.1f} % of {len(off)}, off by {rms:.2f} of their errors"
+
+
 def accuracy(bench, args):
     failed = 0
     worst_rms, worst_loss, worst_volume = 0.0, 0.0, 0.0
@@ -155,19 +198,23 @@ def accuracy(bench, args):
             wrong = marks_wrong(report, folder)
             loss = report["loss_percent"]
             error = 0.0 if specimen == "S00" else abs(loss - float(truth["loss_pct"]))
+            cells = cells_told(place, report, folder, f"GVP-D-{specimen}")
             half = next(v for v in report["volumes"] if v["threshold"] == 0.5)
             volume = 0.5 * (half["lower_mm3"] + half["upper_mm3"]) / float(truth["V_gt_0.5"]) - 1
             limits = DEMANDED[args.level]
             linked = specimen == "S00" or \
                 any(m["name"].startswith("Stain against the baseline") for m in report["measures"])
             good = (linked and rms <= limits[0] and error <= limits[1] and abs(volume) <= limits[2]
-                    and wrong == 0 and len(report["sections"]) == 60)
+                    and wrong == 0 and len(report["sections"]) == 60
+                    and (not cells or (cells[0] >= CELLS_HELD
+                                       and CELLS_OFF[0] <= cells[1] <= CELLS_OFF[1])))
             failed += not good
             worst_rms, worst_loss = max(worst_rms, rms), max(worst_loss, error)
             worst_volume = max(worst_volume, abs(volume))
             print(f"{args.level} seed {seed} {specimen}: registration {rms:.3f} um, marks wrong "
                   f"{wrong}, loss {loss if loss is not None else 'control'} "
                   f"(error {error:.3f} points), V(0.5) {100 * volume:+.2f} %"
+                  f"{', cells ' + cells[2] if cells else ''}"
                   f"{'' if linked else ', not compared with the baseline by untreated tissue'}"
                   f"{'' if good else '   NOT MET'}", flush=True)
         print(f"  run of {len(folders)} specimens: {took:.1f} s", flush=True)

@@ -7,7 +7,8 @@
  * that fold or turn over go, and the lattice grows until the rest fits.
  *
  * Steps: (1) cells with tissue; (2) their vertices and edges, numbered as they come; (3) the spline
- * at both; (4) what is said of each cell, as whole numbers; (5) pack; (6) cluster and again.
+ * and its colours at both; (4) what is said of each cell, as whole numbers; (5) pack; (6) cluster
+ * and again.
  *
  * Failure: memory; a model that is too large at any lattice. Cost: bounds of each cell and one
  * value a node, then a sort of the edges. */
@@ -15,6 +16,7 @@
 
 #include "pipeline/core/geom.h"
 #include "pipeline/core/parallel.h"
+#include "pipeline/core/srgb.h"
 #include "pipeline/model/batch.h"
 #include "pipeline/render/region_border.h"
 
@@ -56,6 +58,7 @@ struct level {
     uint32_t *home;        /* of each vertex, then each edge: a tetrahedron of the model */
     double *value;         /* of each vertex, then each edge */
     double *inward;        /* likewise, distance from the border of the region */
+    double *colour[3];     /* likewise, light; NULL: no colours */
 };
 
 struct packing {
@@ -80,6 +83,8 @@ static void level_done(struct level *level)
     gsn_free(level->home);
     gsn_free(level->value);
     gsn_free(level->inward);
+    for (int c = 0; c < 3; c++)
+        gsn_free(level->colour[c]);
     *level = (struct level){ 0 };
 }
 
@@ -304,6 +309,24 @@ static void place_node(const struct packing *p, size_t node, double ret_at[3])
     }
 }
 
+/* flat: places of the nodes. */
+static int value_field(const struct packing *p, const struct gsn_spline *field, const double *flat,
+                       double *ret_value, struct gsn_error *err)
+{
+    const struct level *level = &p->level;
+    const size_t nodes = level->vertices + level->edges;
+    const int r = gsn_spline_eval_many(field, (const double(*)[3])flat, nodes, p->threads,
+                                       ret_value, NULL, err);
+
+    /* Amid two corners that were drawn together there may be no domain. */
+    for (size_t i = level->vertices; r >= 0 && i < nodes; i++)
+        if (isnan(ret_value[i]))
+            ret_value[i] = (ret_value[level->edge[i - level->vertices][0]] +
+                            ret_value[level->edge[i - level->vertices][1]]) /
+                           2;
+    return r;
+}
+
 static int value_nodes(struct packing *p, struct gsn_error *err)
 {
     struct level *level = &p->level;
@@ -319,14 +342,12 @@ static int value_nodes(struct packing *p, struct gsn_error *err)
         place_node(p, i, flat + 3 * i);
         level->inward[i] = p->border ? gsn_border_at(p->border, flat + 3 * i, NULL) : 1;
     }
-    r = gsn_spline_eval_many(p->spline, (const double(*)[3])flat, nodes, p->threads, level->value,
-                             NULL, err);
-    /* Amid two corners that were drawn together there may be no domain. */
-    for (size_t i = 0; r >= 0 && i < nodes; i++)
-        if (isnan(level->value[i]) && i >= level->vertices)
-            level->value[i] = (level->value[level->edge[i - level->vertices][0]] +
-                               level->value[level->edge[i - level->vertices][1]]) /
-                              2;
+    r = value_field(p, p->spline, flat, level->value, err);
+    for (int c = 0; r >= 0 && p->options->colour && c < 3; c++) {
+        level->colour[c] = gsn_alloc_array(nodes + 1, sizeof *level->colour[c]);
+        r = level->colour[c] ? value_field(p, p->options->colour[c], flat, level->colour[c], err)
+                             : gsn_fail(err, GSN_E_NOMEM, "out of memory for %zu nodes", nodes);
+    }
     return r;
 }
 
@@ -556,7 +577,8 @@ static int put_head(struct packing *p, const struct scales *s, struct gsn_error 
                                          s->digits,
                                          s->volume_digits,
                                          p->options->low,
-                                         p->options->high };
+                                         p->options->high,
+                                         p->options->colour ? 3 : 0 };
     const int r = make_room(p, sizeof head, err);
 
     if (r < 0)
@@ -576,6 +598,22 @@ static int put_inward(struct packing *p, int32_t *item, struct gsn_error *err)
         item[i] = whole_of(rint(level->inward[i]));
     r = put_column(p, item, level->vertices, err);
     return r < 0 ? r : put_column(p, item + level->vertices, level->edges, err);
+}
+
+static int put_colours(struct packing *p, int32_t *item, struct gsn_error *err)
+{
+    const struct level *level = &p->level;
+    int r = GSN_OK;
+
+    for (int c = 0; r >= 0 && level->colour[0] && c < 3; c++) {
+        for (size_t i = 0; i < level->vertices + level->edges; i++)
+            item[i] =
+                whole_of(rint(255 * gsn_srgb_of_light(fmin(1, fmax(0, level->colour[c][i])))));
+        r = put_column(p, item, level->vertices, err);
+        if (r >= 0)
+            r = put_column(p, item + level->vertices, level->edges, err);
+    }
+    return r;
 }
 
 static int write_level(struct packing *p, struct gsn_error *err)
@@ -612,7 +650,9 @@ static int write_level(struct packing *p, struct gsn_error *err)
         r = put_column(p, item + level->vertices, level->edges, err);
     if (r >= 0)
         r = put_cells(p, &scales, item, err);
-    return r < 0 ? r : put_inward(p, item, err);
+    if (r >= 0)
+        r = put_inward(p, item, err);
+    return r < 0 ? r : put_colours(p, item, err);
 }
 
 /* ---- together ------------------------------------------------------------------------------ */

@@ -25,6 +25,8 @@
  *     V   inward             distance from the border of the region in um, positive inside, at the
  *                            vertices
  *     E                      the same amid the edges
+ *     V   red at the vertices, where there are colours: codes of sRGB, 0..255
+ *     E   red amid the edges; then green and blue likewise
  *
  * What the model does not have is -2^31. Cells that hold no tissue of the region are left out. */
 #ifndef GSN_EXPORT_PAGE_MODEL_H
@@ -37,8 +39,8 @@ extern "C" {
 #endif
 
 /* V, E, C, origin x y z, step x y z, low and step of s, digits, digits of volumes, the two ends of
- * the colour scale. */
-enum { GSN_PAGE_HEAD = 15 };
+ * the colour scale, channels of colour (0 or 3). */
+enum { GSN_PAGE_HEAD = 16 };
 
 /* A page may weigh 4 MB: pictures take 3, and base64 a quarter of the rest. */
 enum { GSN_PAGE_BYTES = 720000 };
@@ -46,6 +48,8 @@ enum { GSN_PAGE_BYTES = 720000 };
 struct gsn_page_options {
     const struct gsn_mask *region; /* NULL: all of the domain is inside */
     double low, high;              /* ends of the colour scale */
+    const struct gsn_spline *const
+        *colour; /* red, green, blue as light on the same space, or NULL */
     size_t most_bytes;
 };
 

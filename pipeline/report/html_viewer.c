@@ -32,6 +32,8 @@ static void add_controls(struct gsn_report_text *text)
     gsn_report_text_raw(
         text, "<label class=\"tick\"><input type=\"checkbox\" id=\"viewer-smooth\" checked=\"\"> "
               "the spline itself, not cell by cell</label>\n"
+              "<label class=\"tick\"><input type=\"checkbox\" id=\"viewer-true\"> "
+              "true colour</label>\n"
               "<label>Cell <input type=\"number\" id=\"viewer-number\" min=\"0\"></label>\n"
               "<button type=\"button\" id=\"viewer-home\">As at first</button>\n</div>\n");
 }

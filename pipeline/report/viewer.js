@@ -21,9 +21,9 @@ const packed = Uint8Array.from(atob($("data").textContent), c => c.charCodeAt(0)
 const plain = await new Response(new Blob([packed]).stream()
   .pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
 const bytes = new Uint8Array(plain), UNKNOWN = -(2 ** 31);
-const [V, E, C, ox, oy, oz, sx, sy, sz, sLow, sStep, digits, volumeDigits, low, high] =
-  new Float64Array(plain, 0, 15);
-let read = 15 * 8;
+const [V, E, C, ox, oy, oz, sx, sy, sz, sLow, sStep, digits, volumeDigits, low, high, channels] =
+  new Float64Array(plain, 0, 16);
+let read = 16 * 8;
 function column(n) {
   const width = bytes[read++], out = new Int32Array(n);
   for (let i = 0, last = 0; i < n; i++) {
@@ -43,6 +43,13 @@ for (const name of ["number", "density", "lower", "upper", "residual", "below", 
                     "share", "volume"]) cell[name] = column(C);
 const inward = new Float32Array(N);
 for (const [first, n] of [[0, V], [V, E]]) inward.set(column(n), first);
+/* Light from codes of sRGB: what lies between two nodes is a mixture of their light. */
+const light = new Float32Array(3 * N);
+for (let c = 0; c < channels; c++)
+  for (const [first, n] of [[0, V], [V, E]]) column(n).forEach((v, i) => {
+    v /= 255;
+    light[3 * (first + i) + c] = v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4;
+  });
 const unit = 10 ** digits, least = [0, 1, 2].map(() => Infinity), most = least.map(v => -v);
 for (let v = 0; v < V; v++)
   for (let c = 0; c < 3; c++) {
@@ -110,16 +117,17 @@ const MAP = [68, 1, 84, 72, 24, 106, 71, 45, 123, 66, 64, 134, 59, 82, 139, 51, 
   142, 38, 130, 142, 33, 145, 140, 31, 160, 136, 40, 174, 128, 63, 188, 115, 94, 201, 98, 132, 212,
   75, 173, 220, 48, 216, 226, 25, 253, 231, 37]; /* viridis */
 const VERTEX = `#version 300 es
-in vec3 a_at, a_mid, a_normal;
+in vec3 a_at, a_mid, a_normal, a_colour;
 in float a_s, a_density, a_inward;
 uniform mat3 u_turn;
 uniform vec4 u_frame, u_cut;
 uniform vec2 u_range;
 uniform float u_shrink, u_depth;
-out vec3 v_at, v_eye, v_normal;
+out vec3 v_at, v_eye, v_normal, v_colour;
 out float v_s, v_density, v_inward;
 void main() {
   v_inward = a_inward;
+  v_colour = a_colour;
   v_at = mix(a_mid, a_at, u_shrink);
   v_eye = u_turn * v_at;
   v_normal = u_turn * a_normal;
@@ -131,13 +139,13 @@ void main() {
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float;
-in vec3 v_at, v_eye, v_normal;
+in vec3 v_at, v_eye, v_normal, v_colour;
 in float v_s, v_density, v_inward;
 uniform vec3 u_map[17];
 uniform vec4 u_cut;
 uniform vec2 u_range, u_ends;
 uniform float u_shrink;
-uniform int u_light, u_cells, u_pick;
+uniform int u_light, u_cells, u_pick, u_true;
 out vec4 colour;
 void main() {
   if (u_shrink == 1.) {
@@ -152,11 +160,12 @@ void main() {
   }
   float t = 16. * clamp(((u_cells == 1 ? v_density : v_s) - u_ends.x) / (u_ends.y - u_ends.x), 0., 1.);
   int i = int(min(t, 15.));
-  vec3 c = mix(u_map[i], u_map[i + 1], t - float(i));
+  vec3 c = u_true == 1 ? v_colour : mix(u_map[i], u_map[i + 1], t - float(i));
   if (u_light != 2) {
     vec3 n = normalize(u_light != 0 ? v_normal : cross(dFdx(v_eye), dFdy(v_eye)));
     c *= .45 + .55 * abs(dot(n, normalize(vec3(-.3, .35, 1))));
   }
+  if (u_true == 1) c = mix(12.92 * c, 1.055 * pow(c, vec3(1. / 2.4)) - .055, step(.0031308, c));
   colour = vec4(c, 1);
 }`;
 const program = gl.createProgram();
@@ -166,39 +175,41 @@ for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRA
   gl.compileShader(shader);
   gl.attachShader(program, shader);
 }
-["a_at", "a_normal", "a_s", "a_density", "a_inward", "a_mid"].forEach((name, i) =>
+["a_at", "a_normal", "a_s", "a_density", "a_inward", "a_mid", "a_colour"].forEach((name, i) =>
   gl.bindAttribLocation(program, i, name));
 gl.linkProgram(program);
 if (!gl.getProgramParameter(program, gl.LINK_STATUS)) return;
 gl.useProgram(program);
 const u = name => gl.getUniformLocation(program, "u_" + name);
 const uniform = Object.fromEntries(["turn", "frame", "cut", "range", "ends", "shrink", "depth",
-  "light", "cells", "pick"].map(name => [name, u(name)]));
+  "light", "cells", "pick", "true"].map(name => [name, u(name)]));
 gl.uniform3fv(u("map"), MAP.map(v => v / 255));
 gl.uniform2f(uniform.ends, low, high);
 gl.uniform1f(uniform.depth, .5 / radius);
 gl.enable(gl.DEPTH_TEST);
 
-/* Triangles whose vertices are nine numbers: place, normal, s, density of the cell, way inward.
+/* Triangles whose vertices are twelve numbers: place, normal, s, density of the cell, way inward,
+ * light.
  * light: 0 by the triangle, 1 by the slope, on a level, 2 none, on a cut, 3 by the slope. */
 class Mesh {
   constructor(light, slope) {
     this.light = light;
     this.slope = slope || new Float32Array(3 * N);
-    this.room = new Float32Array(9 * 3072);
+    this.room = new Float32Array(12 * 3072);
     this.used = 0;
     this.vao = gl.createVertexArray();
     this.buffer = gl.createBuffer();
     gl.bindVertexArray(this.vao);
     gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer);
-    [[3, 0], [3, 12], [1, 24], [1, 28], [1, 32]].forEach(([n, first], i) => {
-      gl.enableVertexAttribArray(i);
-      gl.vertexAttribPointer(i, n, gl.FLOAT, false, 36, first);
-    });
+    [[0, 3, 0], [1, 3, 12], [2, 1, 24], [3, 1, 28], [4, 1, 32], [6, 3, 36]].forEach(
+      ([i, n, first]) => {
+        gl.enableVertexAttribArray(i);
+        gl.vertexAttribPointer(i, n, gl.FLOAT, false, 48, first);
+      });
   }
   /* A point on the way t from node a to node b. */
   add(a, b, t, density) {
-    if (this.used + 9 > this.room.length) {
+    if (this.used + 12 > this.room.length) {
       const grown = new Float32Array(2 * this.room.length);
       grown.set(this.room);
       this.room = grown;
@@ -207,11 +218,12 @@ class Mesh {
     for (let c = 0; c < 3; c++) {
       o[k + c] = at[3 * a + c] + t * (at[3 * b + c] - at[3 * a + c]);
       o[k + 3 + c] = g[3 * a + c] + t * (g[3 * b + c] - g[3 * a + c]);
+      o[k + 9 + c] = light[3 * a + c] + t * (light[3 * b + c] - light[3 * a + c]);
     }
     o[k + 6] = s[a] + t * (s[b] - s[a]);
     o[k + 7] = density;
     o[k + 8] = inward[a] + t * (inward[b] - inward[a]);
-    this.used += 9;
+    this.used += 12;
   }
   /* Where f, given at the nodes, is 0 in every part of every cell: marching tetrahedra. */
   march(f) {
@@ -249,7 +261,7 @@ class Mesh {
     if (!this.used) return;
     gl.uniform1i(uniform.light, this.light);
     gl.bindVertexArray(this.vao);
-    gl.drawArrays(gl.TRIANGLES, 0, this.used / 9);
+    gl.drawArrays(gl.TRIANGLES, 0, this.used / 12);
   }
 }
 const steep = slopes(s), walls = [new Mesh(1, steep), new Mesh(1, steep)], cap = new Mesh(2);
@@ -273,6 +285,7 @@ function makeApart() {
       const n = node[10 * i + k], o = 12 * (4 * i + k);
       for (let c = 0; c < 3; c++) {
         room[o + c] = at[3 * n + c];
+        room[o + 3 + c] = light[3 * n + c];
         room[o + 8 + c] = mid[c];
       }
       room[o + 6] = room[o + 7] = cell.density[i] / unit;
@@ -283,7 +296,7 @@ function makeApart() {
   gl.bindVertexArray(vao);
   gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ARRAY_BUFFER, room, gl.STATIC_DRAW);
-  [[0, 3, 0], [2, 1, 24], [3, 1, 28], [5, 3, 32]].forEach(([i, n, first]) => {
+  [[0, 3, 0], [2, 1, 24], [3, 1, 28], [5, 3, 32], [6, 3, 12]].forEach(([i, n, first]) => {
     gl.enableVertexAttribArray(i);
     gl.vertexAttribPointer(i, n, gl.FLOAT, false, 48, first);
   });
@@ -304,6 +317,7 @@ const eye = { ...HOME };
 let turn = [], cut = [0, 0, 0, 1], range = [-Infinity, Infinity], chosen = -1, due = 0, coarse = 1;
 const field = name => $(name).value;
 const shrunk = () => +field("shrink") / 100;
+const isTrue = () => channels > 0 && $("true").checked;
 function lookAround() {
   const [sa, ca, se, ce] = [Math.sin(eye.azimuth), Math.cos(eye.azimuth), Math.sin(eye.elevation),
                             Math.cos(eye.elevation)];
@@ -365,6 +379,7 @@ function render(pick) {
   gl.clearColor(pick, pick, pick, pick);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
   gl.uniform1i(uniform.pick, pick);
+  gl.uniform1i(uniform.true, isTrue() ? 1 : 0);
   gl.uniform1i(uniform.cells, shrunk() < 1 || !$("smooth").checked ? 1 : 0);
   gl.uniformMatrix3fv(uniform.turn, true, turn.flat());
   gl.uniform4f(uniform.frame, 2 * scale() / wide, 2 * scale() / tall, 2 * eye.x / wide,
@@ -488,6 +503,13 @@ function drawChosen(to) {
 }
 function drawScale() {
   const to = pen($("scale")), w = $("scale").clientWidth, x0 = 14, long = w - 28;
+  if (isTrue()) {
+    to.fillStyle = to.ink;
+    to.textAlign = "left";
+    to.textBaseline = "top";
+    to.fillText("true colour, as the sections look", x0, 2);
+    return;
+  }
   for (let x = 0; x < long; x++) {
     const t = 16 * x / long, i = Math.min(15, Math.floor(t));
     to.fillStyle = `rgb(${[0, 1, 2].map(c =>
@@ -750,7 +772,9 @@ for (const name of ["cut", "place"])
 for (const name of ["from", "to"])
   $(name).addEventListener("input", () => { setRange(); hurry(); });
 $("shrink").addEventListener("input", () => { setShrink(); hurry(); });
-$("smooth").addEventListener("input", () => { drawScale(); later(); });
+for (const name of ["smooth", "true"])
+  $(name).addEventListener("input", () => { drawScale(); later(); });
+$("true").parentElement.hidden = !channels;
 
 root.hidden = false;
 $("none").hidden = true;

@@ -390,13 +390,15 @@ static int list_cells(const struct gsn_analysis *analysis, size_t tets, double *
 }
 
 /* For the viewer in the report; none where no cell has tissue, or it cannot be made so small. */
-static int pack_model(const struct gsn_analysis *analysis, const struct gsn_model_cells *cells,
-                      const struct gsn_mask *region, unsigned threads,
-                      struct gsn_page_model **ret_page, struct gsn_error *err)
+static int pack_model(const struct gsn_analysis *analysis, const struct gsn_spline *const *colour,
+                      const struct gsn_model_cells *cells, const struct gsn_mask *region,
+                      unsigned threads, struct gsn_page_model **ret_page, struct gsn_error *err)
 {
-    const struct gsn_page_options options = {
-        .region = region, .low = analysis->low, .high = analysis->high, .most_bytes = GSN_PAGE_BYTES
-    };
+    const struct gsn_page_options options = { .region = region,
+                                              .low = analysis->low,
+                                              .high = analysis->high,
+                                              .colour = colour,
+                                              .most_bytes = GSN_PAGE_BYTES };
     gsn_auto(gsn_page_model) page = NULL;
     const int r = gsn_page_model_new(analysis->spline, cells, &options, threads, &page, err);
 
@@ -431,7 +433,7 @@ static int keep_model(const struct gsn_analysis *analysis, const struct gsn_mask
                                       .inside_share = share,
                                       .residual = analysis->fit.tet_rms,
                                       .samples = analysis->fit.tet_samples };
-    r = pack_model(analysis, &cells, region, threads, ret_page, err);
+    r = pack_model(analysis, colour, &cells, region, threads, ret_page, err);
     if (r < 0 || specimen->part)
         return r;
     parameters = gsn_format("{\"key\": \"%s\", \"tolerance\": %.9g, \"smoothing\": %.9g, "

@@ -21,7 +21,8 @@ enum {
     FIRST_FACT = 9,
     FACTS = 10,
     INWARD = FIRST_FACT + FACTS,
-    COLUMNS = INWARD + 2,
+    COLOUR = INWARD + 2,
+    COLUMNS = COLOUR + 6,
     ROOM = 1 << 20
 };
 enum { NUMBER, DENSITY, LOWER, UPPER, RESIDUAL, BELOW, ABOVE, SAMPLES, SHARE, VOLUME };
@@ -47,10 +48,11 @@ static struct unpacked unpack(const struct gsn_page_model *model)
 
     CHECK(uncompress(plain, &size, model->bytes, (uLong)model->size) == Z_OK);
     memcpy(u.head, plain, sizeof u.head);
-    for (size_t i = 0; i < COLUMNS; i++) {
-        const size_t count = (size_t)u.head[i < 3 || i == 7 || i == INWARD ? 0
-                                            : i == 8 || i == INWARD + 1    ? 1
-                                                                           : 2];
+    for (size_t i = 0; i < COLOUR + 2 * (size_t)u.head[GSN_PAGE_HEAD - 1]; i++) {
+        const size_t count = (size_t)u.head[i < 3 || i == 7 ? 0
+                                            : i == 8        ? 1
+                                            : i >= INWARD   ? (i - INWARD) % 2
+                                                            : 2];
         const unsigned width = *at++;
         uint32_t last = 0;
 
@@ -250,6 +252,47 @@ TEST(nodes_have_the_splines_values)
         }
     CHECK(edges == u.count[8]);
     unpacked_done(&u);
+    scene_done(&s);
+}
+
+/* Red is the spline itself, green its half beyond black, blue above white: clamped. */
+TEST(nodes_have_the_colours_of_their_places_as_codes)
+{
+    struct scene s = make_scene(2, CUBES);
+    const struct quadric fields[3] = { { 0.1, { 1e-3, 0, 0 }, { 0 } },
+                                       { -0.2, { 0, 1e-3, 0 }, { 0 } },
+                                       { 1.5, { 0 }, { 0 } } };
+    struct kuhn colour[3];
+    const struct gsn_spline *splines[3];
+    gsn_auto(gsn_page_model) model = NULL;
+    struct gsn_error err = { 0 };
+
+    for (int c = 0; c < 3; c++) {
+        CHECK_OK(kuhn_new(LOW, HIGH, CUBES, 2, 0.05, &fields[c], &colour[c], &err), err);
+        splines[c] = colour[c].spline;
+    }
+    const struct gsn_page_options options = {
+        .region = s.region, .low = -1, .high = 1, .colour = splines, .most_bytes = SIZE_MAX
+    };
+
+    CHECK_OK(gsn_page_model_new(s.kuhn.spline, &s.cells, &options, 2, &model, &err), err);
+    struct unpacked u = unpack(model);
+
+    CHECK(u.count[COLOUR] == u.count[0] && u.count[COLOUR + 1] == u.count[8]);
+    for (size_t v = 0; v < u.count[0]; v++)
+        for (size_t c = 0; c < 3; c++) {
+            const double at = u.head[3 + c] + u.head[6 + c] * u.column[c][v];
+            const double light = fields[c].constant + 1e-3 * (c < 2 ? at : 0);
+            const double clamped = fmin(1, fmax(0, light));
+            /* IEC 61966-2-1 */
+            const double code =
+                clamped <= 0.0031308 ? 12.92 * clamped : 1.055 * pow(clamped, 1 / 2.4) - 0.055;
+
+            CHECK(fabs(u.column[COLOUR + 2 * c][v] - 255 * code) <= 0.6);
+        }
+    unpacked_done(&u);
+    for (int c = 0; c < 3; c++)
+        kuhn_done(&colour[c]);
     scene_done(&s);
 }
 

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """The report's page in a browser: the model that is turned, cut and asked in it.
 
-    test_page.py BIN Viewer      exit 77 (skipped) without Chromium
+    test_page.py BIN Viewer Colours      exit 77 (skipped) without Chromium
 
-The specimen is a block of 32 x 32 x 24 voxels with a ball of high density in it, one corner empty.
+The specimen of Viewer is a block of 32 x 32 x 24 voxels with a ball of high density in it, one corner
+empty; that of Colours is a phantom's sections.
 """
+import base64
 import csv
 import math
 import pathlib
@@ -37,33 +39,34 @@ def write_volume(path):
     path.write_bytes(head.encode() + struct.pack(f"<{len(voxels)}f", *voxels))
 
 
-class Viewer(bench.Bench):
+class Page(bench.Bench):
+    """One specimen, worked once, and its page."""
     @classmethod
-    def setUpClass(cls):
+    def work(cls, *commands):
         cls.kept = tempfile.TemporaryDirectory(prefix="gieson-page-")
         cls.addClassCleanup(cls.kept.cleanup)
-        write_volume(pathlib.Path(cls.kept.name) / "ball.nrrd")
         worker = cls("call")
         worker.folder = pathlib.Path(cls.kept.name)
         worker.store = worker.folder / "store"
-        for command in (["import", "--volume", str(worker.folder / "ball.nrrd"), "--specimen",
-                         "ball"], ["run"]):
-            done = worker.call(*command)
+        cls.prepare(worker.folder)
+        for command in (*commands, ["run"]):
+            done = worker.call(*[str(word).format(worker.folder) for word in command])
             assert done.returncode == 0, done.stderr
         cls.page = next(worker.store.glob("reports/*/*/report.html"))
-        table = worker.folder / "units.csv"
-        assert worker.call("export", "ball", str(table)).returncode == 0
-        with open(table, newline="", encoding="utf-8") as file:
-            cls.units = list(csv.DictReader(file))
+        return worker
+
+    @classmethod
+    def prepare(cls, folder):
+        pass
 
     def setUp(self):
         super().setUp()
         self.store = pathlib.Path(self.kept.name) / "store"
 
-    @staticmethod
-    def open_page(seen):
+    @classmethod
+    def open_page(cls, seen):
         """Opens it and scrolls to the model; the box of its canvas."""
-        seen.open(Viewer.page)
+        seen.open(cls.page)
         seen.until("+document.getElementById('viewer').dataset.drawn > 0")
         seen.ask("document.getElementById('viewer-model').scrollIntoView({block: 'center', "
                  "behavior: 'instant'})")
@@ -77,6 +80,12 @@ class Viewer(bench.Bench):
                      f"(document.getElementById('viewer-{name}'))")
 
     @staticmethod
+    def look_along_z(seen):
+        for _ in range(20):
+            seen.ask("document.getElementById('viewer-model').dispatchEvent(new KeyboardEvent("
+                     "'keydown', { key: 'ArrowDown' }))")
+
+    @staticmethod
     def read_cell(seen):
         """What the page says of the cell that is chosen; None: none is."""
         head = seen.ask("(document.querySelector('#viewer-cell h3') || {}).textContent")
@@ -87,6 +96,20 @@ class Viewer(bench.Bench):
         said = {name: value.replace("\u2212", "-") for name, value in rows}
         said["number"] = int(head.split()[1])
         return said
+
+
+class Viewer(Page):
+    @classmethod
+    def prepare(cls, folder):
+        write_volume(folder / "ball.nrrd")
+
+    @classmethod
+    def setUpClass(cls):
+        worker = cls.work(["import", "--volume", "{}/ball.nrrd", "--specimen", "ball"])
+        table = worker.folder / "units.csv"
+        assert worker.call("export", "ball", str(table)).returncode == 0
+        with open(table, newline="", encoding="utf-8") as file:
+            cls.units = list(csv.DictReader(file))
 
     def check_cell(self, said):
         """Against the exported table and the probe, digit for digit."""
@@ -138,9 +161,7 @@ class Viewer(bench.Bench):
         with browser.Browser(1000, 800) as seen:
             x, y, wide, high = self.open_page(seen)
             self.set_to(seen, cut="z", place=500)
-            for _ in range(20):
-                seen.ask("document.getElementById('viewer-model').dispatchEvent(new KeyboardEvent("
-                         "'keydown', { key: 'ArrowDown' }))")
+            self.look_along_z(seen)
             place = seen.ask("document.getElementById('viewer-place-said').textContent")
             z = float(re.search(r"-?\d+", place.replace("\u2212", "-")).group())
             seen.click(x + wide / 2, y + high / 2)
@@ -187,6 +208,11 @@ class Viewer(bench.Bench):
             seen.until(f"+document.getElementById('viewer').dataset.drawn > {drawn}")
             self.assertEqual(seen.said, [])
 
+    def test_what_has_no_colours_offers_none(self):
+        with browser.Browser(1000, 800) as seen:
+            self.open_page(seen)
+            self.assertTrue(seen.ask("document.getElementById('viewer-true').offsetParent === null"))
+
     def test_without_webgl_a_sentence_stands_in_for_it(self):
         with browser.Browser(1000, 800) as seen:
             seen.tell("Page.addScriptToEvaluateOnNewDocument", source="""
@@ -200,12 +226,67 @@ class Viewer(bench.Bench):
         self.assertLess(self.page.stat().st_size, 4e6)
 
 
+class Colours(Page):
+    @classmethod
+    def setUpClass(cls):
+        cls.work(["phantom", "--specimen", "S00", "--level", "L0", "--seed", "1", "--px", "32",
+                  "--out", "{}/scans"], ["import", "{}/scans"])
+
+    def colour_at(self, seen, x, y):
+        """Of a pixel of the window, as the browser itself reads a picture of it."""
+        file = self.folder / "seen.png"
+        seen.picture(str(file))
+        data = base64.b64encode(file.read_bytes()).decode()
+        return seen.ask(f"""(async () => {{
+            const image = new Image();
+            image.src = "data:image/png;base64,{data}";
+            await image.decode();
+            const canvas = document.createElement("canvas");
+            canvas.width = image.width;
+            canvas.height = image.height;
+            const to = canvas.getContext("2d");
+            to.drawImage(image, 0, 0);
+            return [...to.getImageData({round(x)}, {round(y)}, 1, 1).data].slice(0, 3);
+        }})()""")
+
+    def test_true_colour_on_a_cut_is_that_of_the_model(self):
+        """Seen straight along z, where no light falls on the cut: the probe's colour of the cell."""
+        with browser.Browser(1000, 800) as seen:
+            x, y, wide, high = self.open_page(seen)
+            self.set_to(seen, cut="z", place=500)
+            self.look_along_z(seen)
+            checked = 0
+            for dx, dy in ((0.1, 0.05), (-0.1, 0.1), (0.05, -0.1)):
+                at = (x + wide * (0.5 + dx), y + high * (0.5 + dy))
+                seen.click(*at)
+                said = self.read_cell(seen)
+                if not said:
+                    continue
+                seen.ask("document.getElementById('viewer-model').dispatchEvent(new KeyboardEvent("
+                         "'keydown', { key: 'Escape' }))")
+                pixel = []
+                for _ in range(2):
+                    drawn = int(seen.ask("document.getElementById('viewer').dataset.drawn"))
+                    seen.ask("document.getElementById('viewer-true').click()")
+                    seen.until(f"+document.getElementById('viewer').dataset.drawn > {drawn}")
+                    pixel.append(self.colour_at(seen, *at))
+                middle = re.findall(r"-?\d+", said["Middle, µm"])
+                code = self.json("probe", "GVP-D-S00", *middle)["colour"]
+                wanted = [int(code[k:k + 2], 16) for k in (1, 3, 5)]
+                # The pixel is somewhere in the cell, the probe in its middle.
+                self.assertLess(math.dist(pixel[0], wanted), 40)
+                self.assertGreater(math.dist(pixel[1], wanted), 60)
+                checked += 1
+            self.assertGreater(checked, 1)
+            self.assertEqual(seen.said, [])
+
+
 def main():
     bench.BIN = pathlib.Path(sys.argv[1]).resolve()
     if not browser.path():
         print("SKIPPED: no chromium: nobody looked at the report's page", file=sys.stderr)
         sys.exit(bench.SKIPPED)
-    unittest.main(argv=[sys.argv[0], sys.argv[2]], verbosity=1)
+    unittest.main(argv=[sys.argv[0], *sys.argv[2:]], verbosity=1)
 
 
 if __name__ == "__main__":

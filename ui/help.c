@@ -116,7 +116,8 @@ static const struct gsn_help pages[] = {
       "specimens\n"
       "stand side by side, on one scale. A file that exists is not written over.",
       "  --translucent        emission and absorption, in the colours of the density\n"
-      "  --surface V          where the density is V; cuts show the density\n"
+      "  --surface V[,V...]   where the density is V; cuts show the density. Of several the\n"
+      "                       greatest, seen through the others\n"
       "  --true-colour        these two in the colours of the sections\n"
       "  --cells PERCENT      the model's cells apart, of that size, in the colours of their "
       "means\n"
@@ -133,6 +134,7 @@ static const struct gsn_help pages[] = {
       "  --whole              beyond the region too, as far as the model goes\n",
       "gieson render R07-left xray.png\n"
       "gieson render R07-left cut.png --surface 0.5 --plane 0,0,300,0,0,-1\n"
+      "gieson render R07-left shells.png --surface 0.3,0.5,0.8\n"
       "gieson render week0 week4 week8 weeks.png --surface 0.5" },
     { "probe", "SPECIMEN X Y Z",
       "The model at a point of the block, in micrometres: value, gradient, the cell around it "

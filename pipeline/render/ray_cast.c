@@ -608,6 +608,9 @@ static void add_volume(const struct casting *casting, const struct gsn_ray *ray,
 
 /* --- the surface at a level --- */
 
+/* Seen flatter than this a film hides no more. */
+static const double GRAZING = 0.1;
+
 static const double bone[3] = { 226 / 255.0, 205 / 255.0, 176 / 255.0 };
 static const double to_light[3] = { -0.45, -0.60, -0.66 }; /* right, down, into */
 
@@ -640,8 +643,9 @@ static void see_colour(const struct stretch *stretch, double v, double ret[3])
         ret[c] = gsn_srgb_of_light(fmin(1, fmax(0, poly_at(stretch->tint[c], v))));
 }
 
-static void meet_surface(const struct casting *casting, const struct gsn_ray *ray,
-                         const struct stretch *stretch, double v, int cut, struct seen *seen)
+/* The colour of the surface, or of a cut, at v of the stretch. */
+static void light_place(const struct casting *casting, const struct gsn_ray *ray,
+                        const struct stretch *stretch, double v, int cut, double ret[3])
 {
     const struct gsn_ray_style *style = casting->style;
     const struct gsn_ray_clip *clip = casting->clip;
@@ -650,14 +654,12 @@ static void meet_surface(const struct casting *casting, const struct gsn_ray *ra
 
     for (int c = 0; c < 3; c++)
         u[c] = ray->start[c] + (stretch->from + v * stretch->length) * ray->into[c];
-    seen->done = 1;
-    seen->left = 0;
     if (!cut) {
         (void)gsn_spline_eval(casting->spline, u, &hint, &value, gradient);
         memcpy(base, bone, sizeof base);
         if (casting->with_tint)
             see_colour(stretch, v, base);
-        light_surface(&casting->camera, gradient, base, seen->light);
+        light_surface(&casting->camera, gradient, base, ret);
         return;
     }
     if (casting->with_tint)
@@ -666,11 +668,72 @@ static void meet_surface(const struct casting *casting, const struct gsn_ray *ra
         gsn_ray_colour_at(&casting->colours,
                           (poly_at(stretch->value, v) - style->low) / (style->high - style->low),
                           base);
-    memcpy(seen->light, base, sizeof base);
+    memcpy(ret, base, sizeof base);
     /* A cut is flat and shows its colour as the scale has it; the border of the region is round. */
     if (clip && clip->border &&
         fabs(gsn_border_at(clip->border, u, gradient)) < 1e-3 * clip->border_step_um)
-        light_surface(&casting->camera, gradient, base, seen->light);
+        light_surface(&casting->camera, gradient, base, ret);
+}
+
+/* Behind it nothing is seen. */
+static void meet_surface(const struct casting *casting, const struct gsn_ray *ray,
+                         const struct stretch *stretch, double v, int cut, struct seen *seen)
+{
+    double lit[3];
+
+    light_place(casting, ray, stretch, v, cut, lit);
+    for (int c = 0; c < 3; c++)
+        seen->light[c] += seen->left * lit[c];
+    seen->done = 1;
+    seen->left = 0;
+}
+
+/* A film in the way, at v. What is looked through hides 1 - (1 - opacity)^(its length in the
+ * film). */
+static void pass_film(const struct casting *casting, const struct gsn_ray *ray,
+                      const struct stretch *stretch, double v, double level, struct seen *seen)
+{
+    const struct gsn_ray_style *style = casting->style;
+    double u[3], value, gradient[3] = { 0, 0, 0 }, base[3], lit[3], facing, hides;
+    size_t hint = 0;
+
+    for (int c = 0; c < 3; c++)
+        u[c] = ray->start[c] + (stretch->from + v * stretch->length) * ray->into[c];
+    (void)gsn_spline_eval(casting->spline, u, &hint, &value, gradient);
+    facing = fabs(gsn_dot3(gradient, ray->into)) /
+             sqrt(gsn_dot3(gradient, gradient) * gsn_dot3(ray->into, ray->into));
+    hides = 1 - pow(1 - style->film_opacity, 1 / fmax(GRAZING, facing >= 0 ? facing : 1));
+    gsn_ray_colour_at(&casting->colours, (level - style->low) / (style->high - style->low), base);
+    light_surface(&casting->camera, gradient, base, lit);
+    for (int c = 0; c < 3; c++)
+        seen->light[c] += seen->left * hides * lit[c];
+    seen->left *= 1 - hides;
+}
+
+/* Those that the ray passes before the place end of the stretch, in its order. */
+static void pass_films(const struct casting *casting, const struct gsn_ray *ray,
+                       const struct stretch *stretch, double end, struct seen *seen)
+{
+    struct {
+        double at, level;
+    } met[3 * GSN_RAY_FILMS];
+    size_t count = 0;
+
+    for (unsigned f = 0; f < casting->style->films; f++) {
+        double root[3];
+        const unsigned roots = find_roots(stretch->value, casting->style->film[f], root);
+
+        for (unsigned i = 0; i < roots && root[i] < end; i++) {
+            size_t at = count++;
+
+            for (; at > 0 && met[at - 1].at > root[i]; at--)
+                met[at] = met[at - 1];
+            met[at].at = root[i];
+            met[at].level = casting->style->film[f];
+        }
+    }
+    for (size_t i = 0; i < count; i++)
+        pass_film(casting, ray, stretch, met[i].at, met[i].level, seen);
 }
 
 static void find_surface(const struct casting *casting, const struct gsn_ray *ray,
@@ -678,10 +741,14 @@ static void find_surface(const struct casting *casting, const struct gsn_ray *ra
 {
     double root[3];
 
-    if (stretch->value[0] >= casting->style->level)
+    if (stretch->value[0] >= casting->style->level) {
         meet_surface(casting, ray, stretch, 0, stretch->fresh, seen);
-    else if (find_roots(stretch->value, casting->style->level, root) > 0)
+    } else if (find_roots(stretch->value, casting->style->level, root) > 0) {
+        pass_films(casting, ray, stretch, root[0], seen);
         meet_surface(casting, ray, stretch, root[0], 0, seen);
+    } else {
+        pass_films(casting, ray, stretch, INFINITY, seen);
+    }
 }
 
 /* --- a ray --- */
@@ -862,8 +929,7 @@ static void put_ray(struct casting *casting, size_t at, const struct seen *seen)
         return;
     }
     for (int c = 0; c < 3; c++)
-        casting->rgba[at][c] =
-            (float)((casting->mode == MODE_SURFACE ? 1 - seen->left : 1) * seen->light[c]);
+        casting->rgba[at][c] = (float)seen->light[c];
     casting->rgba[at][3] = (float)(1 - seen->left);
 }
 
@@ -938,6 +1004,10 @@ static int cast_rays(struct casting *casting, const struct gsn_camera *camera, u
 
     if (r >= 0 && casting->mode == MODE_SURFACE && !isfinite(casting->style->level))
         return gsn_fail(err, GSN_E_INPUT, "a surface needs a level");
+    for (unsigned f = 0; r >= 0 && casting->mode == MODE_SURFACE && f < casting->style->films; f++)
+        if (!(casting->style->film[f] < casting->style->level))
+            return gsn_fail(err, GSN_E_INPUT, "a film at %g hides a surface at %g",
+                            casting->style->film[f], casting->style->level);
     if (r >= 0)
         r = gsn_ray_camera(camera, casting->style, &casting->camera, err);
     if (r < 0)

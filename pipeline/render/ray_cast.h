@@ -30,6 +30,8 @@ struct gsn_ray_clip {
     const double (*plane)[6]; /* a point and a normal: what lies on the normal's side is away */
 };
 
+enum { GSN_RAY_FILMS = 3 };
+
 /* How density becomes opacity and colour. Extinction is 0 up to low, rises linearly to high and
  * stays; there, opaque_um of it let 1/e of the light through. */
 struct gsn_ray_style {
@@ -38,10 +40,12 @@ struct gsn_ray_style {
     enum gsn_colour_map map;
     const struct gsn_spline *const *colour; /* red, green, blue as light, 0..1, on the space of the
                                                spline that is drawn; NULL: the map's colours */
-    double shading;  /* 0..1: how much darker is what the light from the eye grazes, by the exact
+    double shading; /* 0..1: how much darker is what the light from the eye grazes, by the exact
                         gradient */
-    double level;    /* of gsn_ray_surface() alone */
-    unsigned across; /* rays a pixel's side, 1..4 */
+    double level;   /* of gsn_ray_surface() alone, as are the films */
+    unsigned films; /* surfaces at levels below it that are seen through */
+    double film[GSN_RAY_FILMS], film_opacity; /* their levels; what one hides seen face on, 0..1 */
+    unsigned across;                          /* rays a pixel's side, 1..4 */
 };
 
 /* Red, green, blue, each times the opacity, and the opacity; all 0..1. Codes of sRGB, or light. */
@@ -76,7 +80,10 @@ int gsn_ray_volume(const struct gsn_spline *spline, const struct gsn_camera *cam
 
 /* The nearest place where s rises to the level, lit by its exact gradient. Where the ray comes in
  * at more than the level already, on a clip or the border of a region, the density there is shown
- * in the colours of the window. With style's colour the surface has that, and so has a cut. */
+ * in the colours of the window. With style's colour the surface has that, and so has a cut. Before
+ * it lie the films, in the colours of the window, wherever the ray passes their levels, up or down:
+ * a thin layer that hides the more the flatter it is looked through. They end where a clip or the
+ * region ends. Fails with GSN_E_INPUT where a film's level is not below the surface's. */
 int gsn_ray_surface(const struct gsn_spline *spline, const struct gsn_camera *camera,
                     const struct gsn_ray_clip *clip, const struct gsn_ray_style *style,
                     unsigned threads, const struct gsn_progress *progress,

@@ -28,7 +28,10 @@
 #include "systemd/worker/kept_run.h"
 #include "systemd/worker/work_verbs.h"
 
-enum { USUAL_PX = 640, LEAST_PX = 64, MOST_PX = 4096, MOST_SCENES = 8 };
+enum { FILMS_ROOM = 64, USUAL_PX = 640, LEAST_PX = 64, MOST_PX = 4096, MOST_SCENES = 8 };
+
+/* Of what lies behind a film that is faced, so much is hidden. */
+static const double FILM_OPACITY = 0.3;
 
 /* One model, and what is seen of it. */
 struct scene {
@@ -101,6 +104,29 @@ static int read_view(const char *text, struct gsn_view *view)
     return 1;
 }
 
+/* The greatest is the surface, others are films before it. */
+static int read_levels(const char *text, struct gsn_ray_style *style)
+{
+    double level[1 + GSN_RAY_FILMS];
+    size_t count = 1, top = 0;
+
+    while (count <= 1 + GSN_RAY_FILMS && !gsn_work_numbers(text, count, level))
+        count++;
+    if (count > 1 + GSN_RAY_FILMS)
+        return 0;
+    for (size_t i = 1; i < count; i++)
+        top = level[i] > level[top] ? i : top;
+    style->level = level[top];
+    style->film_opacity = FILM_OPACITY;
+    for (size_t i = 0; i < count; i++)
+        if (i != top)
+            style->film[style->films++] = level[i];
+    for (unsigned f = 0; f < style->films; f++)
+        if (!(style->film[f] < style->level))
+            return 0;
+    return 1;
+}
+
 /* NULL: it is fine. */
 static const char *read_request(struct render *e)
 {
@@ -136,8 +162,9 @@ static const char *read_request(struct render *e)
     e->view.eye_distance = request->perspective ? 3 : 0;
     e->style =
         (struct gsn_ray_style){ .low = NAN, .map = GSN_MAP_VIRIDIS, .level = NAN, .across = 2 };
-    if (request->surface && !gsn_work_numbers(request->surface, 1, &e->style.level))
-        return "--surface V is where the density has one value";
+    if (request->surface && !read_levels(request->surface, &e->style))
+        return "--surface V is where the density has one value; up to three smaller ones before or "
+               "behind it, as 0.2,0.5, are seen through";
     if (request->window) {
         if (!gsn_work_numbers(request->window, 2, window) || !(window[0] < window[1]))
             return "--window is two densities, the smaller first: LOW,HIGH";
@@ -368,20 +395,36 @@ static int take_colours(struct render *e, const struct scene *s, struct gsn_erro
                           (long long)s->kept->run->id, s->name, s->kept->run->version);
 }
 
+/* ", seen through 0.2 and 0.35". */
+static const char *name_films(const struct gsn_ray_style *style, char room[FILMS_ROOM])
+{
+    size_t used = 0;
+
+    room[0] = '\0';
+    for (unsigned f = 0; f < style->films && used < FILMS_ROOM; f++)
+        used += (size_t)snprintf(room + used, FILMS_ROOM - used, "%s%g",
+                                 f == 0                  ? ", seen through "
+                                 : f + 1 == style->films ? " and "
+                                                         : ", ",
+                                 style->film[f]);
+    return room;
+}
+
 static int draw_light(struct render *e, struct scene *s, struct gsn_error *err)
 {
     const struct gsn_spline *spline = s->model->spline;
     const unsigned threads = e->request->threads;
     const char *coloured = e->request->true_colour ? " in true colour" : "";
     gsn_auto(gsn_ray_picture) picture = NULL;
+    char films[FILMS_ROOM];
     int r = take_colours(e, s, err);
 
     if (r < 0)
         return r;
     e->style.shading = e->request->translucent ? 0.6 : 0;
     if (e->request->surface) {
-        (void)snprintf(s->title, sizeof s->title, "%s: surface at density %g%s, %s", s->name,
-                       e->style.level, coloured, through_eye(s));
+        (void)snprintf(s->title, sizeof s->title, "%s: surface at density %g%s%s, %s", s->name,
+                       e->style.level, name_films(&e->style, films), coloured, through_eye(s));
         (void)snprintf(e->note, sizeof e->note, "cuts show the %s; axes in \xc2\xb5m",
                        coloured[0] ? "colour" : "density");
         r = gsn_ray_surface(spline, &s->camera, &s->clip, &e->style, threads, NULL, &picture, err);

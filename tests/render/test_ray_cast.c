@@ -529,6 +529,77 @@ TEST(a_surface_lies_where_the_level_is_and_a_cut_shows_the_density)
     kuhn_done(&kuhn);
 }
 
+/* Light of two films and of what they leave of a surface, all faced: bone is base * k + m there. */
+TEST(a_surface_is_seen_through_films_in_the_order_in_which_they_lie)
+{
+    const struct quadric slope = { 0, { 0, 0, 1.0 / 600 }, { 0, 0, 0 } };
+    const struct gsn_view view = {
+        .direction = { 0, 0, 1 }, .up = { 0, -1, 0 }, .width = 12, .height = 9
+    };
+    const double h = 0.3, middle = 4 * 12 + 6;
+    struct gsn_ray_style style = plain(0, 1, 1);
+    gsn_auto(gsn_ray_picture) bare = NULL;
+    gsn_auto(gsn_ray_picture) covered = NULL;
+    struct gsn_camera camera;
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    style.level = 0.5;
+    style.film_opacity = h;
+    style.film[0] = 0.35;
+    style.film[1] = 0.2; /* nearer to the eye, though named later */
+    CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &slope, &kuhn, &err), err);
+    camera = frame(&kuhn, &view);
+    CHECK_OK(gsn_ray_surface(kuhn.spline, &camera, NULL, &style, 1, NULL, &bare, &err), err);
+    style.films = 2;
+    CHECK_OK(gsn_ray_surface(kuhn.spline, &camera, NULL, &style, 1, NULL, &covered, &err), err);
+    {
+        const float *const s = bare->rgba[(size_t)middle], *const p = covered->rgba[(size_t)middle];
+        const double k = (double)(s[0] - s[2]) / ((226 - 176) / 255.0);
+        const double m = (double)s[0] - 226 / 255.0 * k;
+        const struct gsn_colour near = gsn_colour_of(GSN_MAP_VIRIDIS, 0.2);
+        const struct gsn_colour far = gsn_colour_of(GSN_MAP_VIRIDIS, 0.35);
+        const double first[3] = { near.r / 255.0, near.g / 255.0, near.b / 255.0 };
+        const double second[3] = { far.r / 255.0, far.g / 255.0, far.b / 255.0 };
+
+        CHECK_NEAR((double)p[3], 1, 1e-7);
+        for (int c = 0; c < 3; c++)
+            CHECK_NEAR((double)p[c],
+                       h * (first[c] * k + m) + (1 - h) * h * (second[c] * k + m) +
+                           (1 - h) * (1 - h) * (double)s[c],
+                       0.5 / 255); /* gsn_colour_of() rounds to codes */
+    }
+    style.film[0] = 0.5;
+    CHECK(gsn_ray_surface(kuhn.spline, &camera, NULL, &style, 1, NULL, &covered, &err) ==
+          GSN_E_INPUT);
+    kuhn_done(&kuhn);
+}
+
+TEST(a_film_hides_more_the_flatter_it_is_looked_through)
+{
+    const struct quadric slope = { 0, { 0, 0, 1.0 / 600 }, { 0, 0, 0 } };
+    struct gsn_ray_style style = plain(0, 1, 1);
+    struct gsn_error err = { 0 };
+    struct kuhn kuhn;
+
+    style.level = 2; /* nowhere */
+    style.films = 1;
+    style.film[0] = 0.5;
+    style.film_opacity = 0.3;
+    CHECK_OK(kuhn_sharp(low, high, cells, 2, 0.05, &slope, &kuhn, &err), err);
+    for (int steep = 0; steep < 2; steep++) {
+        const struct gsn_view view = {
+            .direction = { steep, 0, 1 }, .up = { 0, -1, 0 }, .width = 13, .height = 9
+        };
+        const struct gsn_camera camera = frame(&kuhn, &view);
+        gsn_auto(gsn_ray_picture) picture = NULL;
+
+        CHECK_OK(gsn_ray_surface(kuhn.spline, &camera, NULL, &style, 1, NULL, &picture, &err), err);
+        CHECK_NEAR((double)picture->rgba[4 * 13 + 6][3], 1 - pow(0.7, steep ? M_SQRT2 : 1), 1e-5);
+    }
+    kuhn_done(&kuhn);
+}
+
 TEST(a_region_bounds_what_is_seen)
 {
     /* 600 x 400 x 300 um in the middle, in voxels of 20 um. */

@@ -232,6 +232,7 @@ class Closed(Model):
         for name, *options in (["x.png"], ["l.png", "--translucent", "--perspective", "--window", "0.2,0.6"],
                                ["c.png", "--cells", 70, "--plane", "100,0,0,1,0,0"],
                                ["p.png", "--preview"], ["q.png", "--translucent", "--preview", "--perspective"],
+                               ["f.png", "--surface", "0.2,0.4,0.3"],
                                ["s.png", "--surface", 0.4, "--plane", "100,0,0,1,0,0", "--view", "0.3,-0.4,0.9"]):
             options += ["--size", 96]
             said = self.ask("render", "block", self.folder / name, *options)
@@ -288,6 +289,8 @@ class Refusals(Model):
                      ["render", "block", self.folder / "a.png", "--translucent", "--window", "1,0"],
                      ["render", "block", self.folder / "a.png", "--translucent", "--surface", 1],
                      ["render", "block", self.folder / "a.png", "--preview", "--surface", 1],
+                     ["render", "block", self.folder / "a.png", "--surface", "0.3,0.3"],
+                     ["render", "block", self.folder / "a.png", "--surface", "1,2,3,4,5"],
                      ["render", "block", self.folder / "a.png", "--cells", 0],
                      ["render", "block", self.folder / "a.png", "--cells", 101],
                      ["render", "block", self.folder / "a.png", "--cells", 70, "--translucent"],

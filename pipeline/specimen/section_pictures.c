@@ -126,13 +126,33 @@ static void add_sample(const struct gsn_image *image, const struct gsn_placed_bo
                                        : ((const uint8_t *)image->samples)[corner[k] + c]);
 }
 
+/* A processor without fused multiply-adds finds poses that differ in their last digits, and a pixel
+ * at the edge of another would be taken or not: what is drawn is settled to these. */
+static const double SETTLED_UM = 1e-6, SETTLED_SCALE = 1e-9;
+
+static double settle(double value, double step)
+{
+    return step * rint(value / step);
+}
+
+static struct gsn_affine settle_pose(const struct gsn_affine *pose)
+{
+    return (struct gsn_affine){ .m00 = settle(pose->m00, SETTLED_SCALE),
+                                .m01 = settle(pose->m01, SETTLED_SCALE),
+                                .m02 = settle(pose->m02, SETTLED_UM),
+                                .m10 = settle(pose->m10, SETTLED_SCALE),
+                                .m11 = settle(pose->m11, SETTLED_SCALE),
+                                .m12 = settle(pose->m12, SETTLED_UM) };
+}
+
 int gsn_placed_picture(const struct gsn_image *image, enum gsn_light light,
                        const struct gsn_placed_box *box, struct gsn_point corner, double um_per_px,
                        unsigned side_px, struct gsn_image **ret_picture, struct gsn_error *err)
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
-    const struct gsn_affine to_px = gsn_affine_inverse(&box->panel_to_block_um);
-    const double reach = um_per_px / sqrt(fabs(gsn_affine_det(&box->panel_to_block_um)));
+    const struct gsn_affine to_block = settle_pose(&box->panel_to_block_um);
+    const struct gsn_affine to_px = gsn_affine_inverse(&to_block);
+    const double reach = um_per_px / sqrt(fabs(gsn_affine_det(&to_block)));
     const int samples = (int)fmin(fmax(ceil(reach), 1), 4); /* in each direction */
     const double full = (image->bits == 16 ? 65535. : 255.) * samples * samples;
     const int right = box->x + box->width, down = box->y + box->height;
@@ -243,10 +263,10 @@ int gsn_placed_frame(const struct gsn_poses *poses, double room, struct gsn_poin
         longest[count++] = fmax(seen->width, seen->height) * sqrt(fabs(gsn_affine_det(map)));
     }
     if (count > 0)
-        side = room * gsn_median(longest, count);
+        side = settle(room * gsn_median(longest, count), SETTLED_UM);
     if (side > 0)
-        *ret_corner = (struct gsn_point){ gsn_median(x, count) - 0.5 * side,
-                                          gsn_median(y, count) - 0.5 * side };
+        *ret_corner = (struct gsn_point){ settle(gsn_median(x, count), SETTLED_UM) - 0.5 * side,
+                                          settle(gsn_median(y, count), SETTLED_UM) - 0.5 * side };
     *ret_side_um = side;
     return GSN_OK;
 }

@@ -21,7 +21,7 @@ enum { GSN_ANALYSIS_THRESHOLDS = 8, GSN_ANALYSIS_PICTURES = 8 };
 
 struct gsn_png_picture {
     const char *id, *title;
-    char caption[240];
+    char caption[320];
     uint8_t *png; /* owned */
     size_t size;
     uint32_t width, height;

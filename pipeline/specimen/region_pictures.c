@@ -271,11 +271,13 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
         r = encode_picture(image, picture, err);
     if (r < 0)
         return r;
-    (void)snprintf(picture->caption, sizeof picture->caption,
-                   "The surface where the density is %.4g: %zu triangles by marching tetrahedra, "
-                   "normals from the spline's own gradient. It bounds what is denser, and follows "
-                   "the edge of the region where that ends.",
-                   wanted.level, triangles->triangle_count);
+    (void)snprintf(
+        picture->caption, sizeof picture->caption,
+        "The surface where the density is %.4g: %zu triangles by marching tetrahedra, "
+        "normals from the spline's own gradient%s. It bounds what is denser, and follows "
+        "the edge of the region where that ends.",
+        wanted.level, triangles->triangle_count,
+        triangles->error_um > wanted.error_um ? "; coarser than half a pixel here and there" : "");
     analysis->picture_count++;
     return GSN_OK;
 }
@@ -419,9 +421,9 @@ int gsn_loss_pictures(const struct gsn_loss_scene *scene, unsigned threads,
         made[i].id = id[i];
         made[i].title = title[i];
         (void)snprintf(made[i].caption, sizeof made[i].caption,
-                       "Both fitted splines on one scale, and the loss cell by cell, at %s = %.0f "
-                       "um; %s. Hatched: not in both regions, or nothing to lose. The line is this "
-                       "specimen's region.",
+                       "Both fitted splines on one scale, and the loss of each cell, between its "
+                       "5 and 95 %%, at %s = %.0f um; %s. Hatched: not in both regions, or nothing "
+                       "to lose. The line is this specimen's region.",
                        PLANES[i].name, coordinate_along(PLANES[i].axis, centre), PLANES[i].seen);
     }
     for (size_t i = 0; i < GSN_LOSS_PICTURES; i++)

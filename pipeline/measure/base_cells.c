@@ -19,6 +19,7 @@
  * Gasser, L. Sroka, C. Jennen-Steinmetz, Biometrika 73 (1986). */
 #include "pipeline/measure/base_cells.h"
 
+#include "pipeline/measure/stats.h"
 #include "pipeline/measure/sum.h"
 #include "pipeline/model/resample.h"
 
@@ -359,32 +360,10 @@ static int lose(const struct gsn_base_side *treated, const struct gsn_base_cell 
     return 1;
 }
 
-struct weighed {
-    double value, weight;
-};
-
-static int compare_weighed(const void *a, const void *b)
-{
-    const double u = ((const struct weighed *)a)->value, v = ((const struct weighed *)b)->value;
-
-    return (u > v) - (u < v);
-}
-
-/* The smallest value that this share of the weight is not above. */
-static double quantile_of(const struct weighed *sorted, size_t count, double weight, double share)
-{
-    double below = 0;
-    size_t i = 0;
-
-    while (i < count - 1 && below + sorted[i].weight < share * weight)
-        below += sorted[i++].weight;
-    return sorted[i].value;
-}
-
 /* Over the cells, each by what collagen the control has in it. */
 static int sum_up(double zero, struct gsn_loss_map *map, struct gsn_error *err)
 {
-    gsn_auto_mem(struct weighed) sorted = gsn_alloc_array(map->count, sizeof *sorted);
+    gsn_auto_mem(struct gsn_weighed) sorted = gsn_alloc_array(map->count, sizeof *sorted);
     double weight = 0, squares = 0;
 
     if (!sorted)
@@ -392,14 +371,14 @@ static int sum_up(double zero, struct gsn_loss_map *map, struct gsn_error *err)
     for (size_t i = 0; i < map->count; i++) {
         const struct gsn_loss_cell *const c = &map->cell[i];
 
-        sorted[i] = (struct weighed){ c->percent, c->volume_um3 * (c->control - zero) };
+        sorted[i] = (struct gsn_weighed){ c->percent, c->volume_um3 * (c->control - zero) };
         weight += sorted[i].weight;
         squares += sorted[i].weight * c->error * c->error;
     }
-    qsort(sorted, map->count, sizeof *sorted, compare_weighed);
-    map->low = quantile_of(sorted, map->count, weight, 0.05);
-    map->median = quantile_of(sorted, map->count, weight, 0.5);
-    map->high = quantile_of(sorted, map->count, weight, 0.95);
+    gsn_weighed_sort(sorted, map->count);
+    map->low = gsn_weighed_quantile(sorted, map->count, 0.05);
+    map->median = gsn_weighed_quantile(sorted, map->count, 0.5);
+    map->high = gsn_weighed_quantile(sorted, map->count, 0.95);
     map->noise = sqrt(squares / weight);
     return GSN_OK;
 }

@@ -11,6 +11,7 @@
 
 #include <assert.h>
 #include <math.h>
+#include <stdlib.h>
 
 double gsn_welch_freedom(double variance_a, double freedom_a, double variance_b, double freedom_b)
 {
@@ -38,4 +39,31 @@ int gsn_fieller(double a, double var_a, double b, double var_b, double quantile,
     *ret_low = (a * b - sqrt(root)) / lead;
     *ret_high = (a * b + sqrt(root)) / lead;
     return GSN_OK;
+}
+
+static int compare_weighed(const void *a, const void *b)
+{
+    const double u = ((const struct gsn_weighed *)a)->value;
+    const double v = ((const struct gsn_weighed *)b)->value;
+
+    return (u > v) - (u < v);
+}
+
+void gsn_weighed_sort(struct gsn_weighed *list, size_t count)
+{
+    qsort(list, count, sizeof *list, compare_weighed);
+}
+
+double gsn_weighed_quantile(const struct gsn_weighed *sorted, size_t count, double share)
+{
+    double weight = 0, below = 0;
+    size_t i = 0;
+
+    if (count == 0)
+        return (double)NAN;
+    for (size_t k = 0; k < count; k++)
+        weight += sorted[k].weight;
+    while (i < count - 1 && below + sorted[i].weight < share * weight)
+        below += sorted[i++].weight;
+    return sorted[i].value;
 }

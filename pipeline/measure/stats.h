@@ -1,14 +1,25 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Intervals of differences and of ratios. */
+/* Intervals of differences and of ratios, quantiles of weighed values. */
 #ifndef GSN_MEASURE_STATS_H
 #define GSN_MEASURE_STATS_H
 
 #include "pipeline/core/error.h"
 
+#include <stddef.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+struct gsn_weighed {
+    double value, weight;
+};
+
+/* Sorts by value. */
+void gsn_weighed_sort(struct gsn_weighed *list, size_t count);
+/* The smallest value that this share (0..1) of the weight is not above; NaN of an empty list. */
+double gsn_weighed_quantile(const struct gsn_weighed *sorted, size_t count, double share);
 
 /* Degrees of freedom of the difference of two means with these variances (of the means, not of
  * the values) and degrees of freedom: Welch and Satterthwaite. 0 stands for a known variance. */

@@ -16,6 +16,8 @@
  * Cost: sorting, and the exact permutations (inference.h). */
 #include "pipeline/study/study.h"
 
+#include "pipeline/study/loss_maps.h"
+
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -31,6 +33,9 @@ void gsn_study_free(struct gsn_study *study)
     for (size_t i = 0; i < study->part_count; i++)
         gsn_study_free(study->part[i]);
     gsn_free(study->part);
+    for (size_t i = 0; i < study->map_count; i++)
+        gsn_free(study->map[i].cell);
+    gsn_free(study->map);
     gsn_free(study);
 }
 
@@ -474,6 +479,8 @@ int gsn_study_analyse(const struct gsn_study_input *input, struct gsn_study **re
         r = analyse_parts(study, err);
     if (r >= 0)
         r = correct_p(study, err);
+    if (r >= 0)
+        r = gsn_study_map_losses(study, err);
     if (r >= 0)
         *ret_study = gsn_steal(&study);
     return r;

@@ -12,6 +12,7 @@
 #define GSN_STUDY_STUDY_H
 
 #include "pipeline/core/mem.h"
+#include "pipeline/measure/base_cells.h"
 #include "pipeline/study/inference.h"
 
 #include <stdint.h>
@@ -39,6 +40,13 @@ struct gsn_study_measure {
     const char *definition; /* one sentence */
 };
 
+/* Density of a specimen in a cell of the base mesh, as value[0] is: in the control's stain. */
+struct gsn_study_place {
+    struct gsn_base_address address;
+    double density;
+    double volume_um3; /* of the region in it */
+};
+
 /* One specimen as its latest report has it. Texts may hold anything and are borrowed. */
 struct gsn_study_specimen {
     const char *name, *animal, *group;
@@ -55,8 +63,10 @@ struct gsn_study_specimen {
     size_t warnings;  /* of its report */
     int64_t finished; /* when that was made, s since 1970; 0: there is none */
     int64_t first;    /* and its first report, near the day of its scans; 0: there is none */
-    double bench[GSN_BENCH_FIGURES]; /* what the bench was like; NaN: not known */
-    const char *key;                 /* of its run, 64 hexadecimal digits, or empty */
+    double bench[GSN_BENCH_FIGURES];     /* what the bench was like; NaN: not known */
+    const char *key;                     /* of its run, 64 hexadecimal digits, or empty */
+    const struct gsn_study_place *place; /* place_count, in order of address; none: not known */
+    size_t place_count;
 };
 
 struct gsn_study_input {
@@ -131,6 +141,27 @@ struct gsn_study_comparison {
     struct gsn_study_budget budget;
 };
 
+/* A cell of the base mesh that two animals or more of either side have. */
+struct gsn_study_loss_cell {
+    struct gsn_base_address address;
+    size_t treated, controls; /* animals that have it */
+    double density, control;  /* means over them */
+    double volume_um3;        /* of the treated, on average */
+    struct gsn_group_loss loss;
+    double p; /* Welch, two-sided */
+    double q; /* the smallest share of false findings at which it is one: Benjamini and Hochberg
+                 (1995), over the cells of this map */
+};
+
+/* Where a group lost collagen against its control. */
+struct gsn_study_loss_map {
+    size_t comparison;                /* of kind LOSS and measure 0 */
+    struct gsn_study_loss_cell *cell; /* owned; count, in order of address */
+    size_t count;
+    double low, median, high; /* 5, 50, 95 % of the control's collagen lie where no more was lost */
+    double lost, gained;      /* shares of it, 0..1, in cells that are told apart (q <= 0.05) */
+};
+
 struct gsn_study {
     struct gsn_study_input input; /* borrowed */
     struct gsn_study_animal *animal;
@@ -142,6 +173,9 @@ struct gsn_study {
     size_t shared_animals; /* names that occur in several groups: then groups are not independent */
     struct gsn_study **part; /* owned: the parts of the input, in its order */
     size_t part_count;
+    struct gsn_study_loss_map
+        *map; /* map_count; one a loss of which two animals a side have cells */
+    size_t map_count;
 };
 
 void gsn_study_free(struct gsn_study *study);
@@ -165,6 +199,9 @@ int gsn_study_csv(const struct gsn_study *study, char **ret_bytes, size_t *ret_s
 /* "gieson-study-1", docs/user/study.md. */
 int gsn_study_json(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
                    struct gsn_error *err);
+/* A row a cell of the base mesh and comparison; docs/user/study.md. */
+int gsn_study_cells_csv(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
+                        struct gsn_error *err);
 /* One page that fetches nothing. */
 int gsn_study_page(const struct gsn_study *study, char **ret_bytes, size_t *ret_size,
                    struct gsn_error *err);

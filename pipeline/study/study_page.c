@@ -7,6 +7,7 @@
  * reports of their specimens; what was left out and why; further measures; a paragraph of methods
  * and an ARRIVE list with its blanks. Each part says how it is to be read. The style sheet is the
  * report's. Nothing is fetched and nothing runs. Fails only when memory runs out. */
+#include "pipeline/study/loss_maps.h"
 #include "pipeline/study/study.h"
 
 #include "pipeline/report/chart.h"
@@ -627,6 +628,7 @@ int gsn_study_page(const struct gsn_study *study, char **ret_bytes, size_t *ret_
     add_comparisons(&text, study, 1);
     for (size_t k = 0; k < study->part_count; k++)
         add_part(&text, study->part[k]);
+    gsn_study_add_maps(&text, study);
     add_budget(&text, study);
     add_specimens(&text, study);
     add_left_out(&text, study);

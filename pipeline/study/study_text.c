@@ -7,6 +7,7 @@
  * of anything measured; what does not exist is an empty field, which they read as NA. A specimen
  * that takes no part has a row a measure without a value, and why. Fails only when memory runs
  * out. */
+#include "pipeline/study/loss_maps.h"
 #include "pipeline/study/study.h"
 
 #include "pipeline/report/json.h"
@@ -18,7 +19,7 @@
 /* ---- CSV ----------------------------------------------------------------------------------- */
 
 /* A text that a spreadsheet would take for a formula gets an apostrophe in front. */
-static void put_field(struct gsn_report_text *text, const char *said)
+void gsn_study_csv_text(struct gsn_report_text *text, const char *said)
 {
     size_t length;
 
@@ -47,22 +48,22 @@ static void put_who(struct gsn_report_text *text, const struct gsn_study *study,
 {
     const struct gsn_study_measure *const m = &study->input.measure[measure];
 
-    put_field(text, study->input.name);
+    gsn_study_csv_text(text, study->input.name);
     gsn_report_text_raw(text, ",");
-    put_field(text, animal);
+    gsn_study_csv_text(text, animal);
     gsn_report_text_raw(text, ",");
-    put_field(text, group);
+    gsn_study_csv_text(text, group);
     gsn_report_text_raw(text, ",");
     put_figure(text, week);
     gsn_report_text_print(text, ",%s,",
                           study->input.blind ? "blind"
                           : is_control       ? "control"
                                              : "treated");
-    put_field(text, study->input.region);
+    gsn_study_csv_text(text, study->input.region);
     gsn_report_text_raw(text, ",");
-    put_field(text, m->name);
+    gsn_study_csv_text(text, m->name);
     gsn_report_text_raw(text, ",");
-    put_field(text, m->unit);
+    gsn_study_csv_text(text, m->unit);
     gsn_report_text_raw(text, ",");
 }
 
@@ -76,7 +77,7 @@ static void put_animal(struct gsn_report_text *text, const struct gsn_study *stu
     gsn_report_text_raw(text, ",");
     put_figure(text, animal->error[measure]);
     gsn_report_text_print(text, ",%zu,yes,,", animal->specimens);
-    put_field(text, study->input.measure[measure].definition);
+    gsn_study_csv_text(text, study->input.measure[measure].definition);
     gsn_report_text_raw(text, "\r\n");
 }
 
@@ -85,9 +86,9 @@ static void put_left_out(struct gsn_report_text *text, const struct gsn_study *s
 {
     put_who(text, study, s->animal, s->group, s->week, s->control == NULL, measure);
     gsn_report_text_raw(text, ",,1,no,");
-    put_field(text, s->left_out);
+    gsn_study_csv_text(text, s->left_out);
     gsn_report_text_raw(text, ",");
-    put_field(text, study->input.measure[measure].definition);
+    gsn_study_csv_text(text, study->input.measure[measure].definition);
     gsn_report_text_raw(text, "\r\n");
 }
 
@@ -300,6 +301,31 @@ static json_t *make_comparisons(struct gsn_json_writer *w, const struct gsn_stud
     return array;
 }
 
+static json_t *make_maps(struct gsn_json_writer *w, const struct gsn_study *study)
+{
+    json_t *array = json_array();
+
+    for (size_t i = 0; i < study->map_count; i++) {
+        const struct gsn_study_loss_map *const map = &study->map[i];
+        const struct gsn_study_comparison *const c = &study->comparison[map->comparison];
+        const struct pair figures[] = { { "low_percent", map->low },
+                                        { "median_percent", map->median },
+                                        { "high_percent", map->high },
+                                        { "lost_share", map->lost },
+                                        { "gained_share", map->gained } };
+        json_t *object = json_object();
+
+        gsn_json_put(w, object, "group", gsn_json_text(study->cell[c->a].group));
+        gsn_json_put(w, object, "week", gsn_json_figure(study->cell[c->a].week));
+        gsn_json_put(w, object, "against", gsn_json_text(study->cell[c->b].group));
+        gsn_json_put(w, object, "edge_um", gsn_json_figure(GSN_BASE_EDGE_UM));
+        gsn_json_put(w, object, "cells", gsn_json_count(map->count));
+        put_pairs(w, object, figures, sizeof figures / sizeof figures[0]);
+        gsn_json_append(w, array, object);
+    }
+    return array;
+}
+
 static json_t *make_parts(struct gsn_json_writer *w, const struct gsn_study *study)
 {
     json_t *array = json_array();
@@ -343,6 +369,7 @@ int gsn_study_json(const struct gsn_study *study, char **ret_bytes, size_t *ret_
     gsn_json_put(&w, root, "measures", make_measures(&w, study));
     gsn_json_put(&w, root, "groups", make_groups(&w, study));
     gsn_json_put(&w, root, "comparisons", make_comparisons(&w, study));
+    gsn_json_put(&w, root, "loss_maps", make_maps(&w, study));
     gsn_json_put(&w, root, "animals", make_animals(&w, study));
     gsn_json_put(&w, root, "specimens", make_specimens(&w, study));
     if (study->part_count > 0)

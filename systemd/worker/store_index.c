@@ -275,8 +275,10 @@ static int publish_report(struct gsn_store *store, const char *folder, const cha
 
 int gsn_store_publish(struct gsn_store *store, const char *folder, struct gsn_error *err)
 {
-    static const char *const report[] = { "report.html", "report.json", "report.pdf" };
-    static const char *const study[] = { "index.html", "study.json", "animals.csv" };
+    static const char *const report[] = { "report.html", "report.json", "report.pdf",
+                                          "base-cells.csv" };
+    static const char *const study[] = { "index.html", "study.json", "animals.csv",
+                                         "loss-cells.csv" };
     auto_studies studies = { 0 };
     int r = gather_studies(store, &studies, err);
 

@@ -12,6 +12,8 @@
  * Failure: one report that is damaged costs its specimen. Cost: a report.json read a specimen. */
 #include "systemd/worker/study.h"
 
+#include "systemd/worker/study_cells.h"
+
 #include <jansson.h>
 #include <math.h>
 #include <stdarg.h>
@@ -72,6 +74,8 @@ void gsn_study_files_free(struct gsn_study_files *f)
         gsn_free((void *)(uintptr_t)f->part[k].specimen);
     gsn_free(f->part);
     gsn_free(f->named);
+    for (size_t i = 0; i < f->input.specimen_count; i++)
+        gsn_free((void *)(uintptr_t)f->specimen[i].place);
     gsn_free(f->specimen);
     gsn_specimen_rows_free(f->rows);
     gsn_event_rows_free(f->events);
@@ -815,6 +819,32 @@ int gsn_study_gather(struct gsn_store *store, const char *name, struct gsn_study
     return r;
 }
 
+static const struct gsn_specimen_row *find_row(const struct gsn_study_files *f, const char *name)
+{
+    for (size_t i = 0; i < f->rows->count; i++)
+        if (strcmp(f->rows->at[i].name, name) == 0)
+            return &f->rows->at[i];
+    return NULL;
+}
+
+int gsn_study_read_cells(struct gsn_study_files *f, struct gsn_store *store, struct gsn_error *err)
+{
+    gsn_auto(gsn_cell_tables) tables = gsn_cell_tables_new();
+    int r = tables ? GSN_OK : fail_memory(err);
+
+    for (size_t i = 0; r >= 0 && !f->input.blind && i < f->input.specimen_count; i++) {
+        struct gsn_study_specimen *const s = &f->specimen[i];
+        const struct gsn_specimen_row *const row = s->left_out ? NULL : find_row(f, s->name);
+        struct gsn_study_place *place = NULL;
+
+        if (!row)
+            continue;
+        r = gsn_study_places(tables, store, row, &place, &s->place_count, err);
+        s->place = place;
+    }
+    return r;
+}
+
 /* ---- files --------------------------------------------------------------------------------- */
 
 static int write_one(const char *folder, const char *name, const struct gsn_study *study,
@@ -839,6 +869,8 @@ int gsn_study_write(struct gsn_store *store, const struct gsn_study *study, char
         r = gsn_file_mkdir(folder, err);
     if (r >= 0)
         r = write_one(folder, "animals.csv", study, gsn_study_csv, err);
+    if (r >= 0)
+        r = write_one(folder, "loss-cells.csv", study, gsn_study_cells_csv, err);
     if (r >= 0)
         r = write_one(folder, "study.json", study, gsn_study_json, err);
     if (r >= 0)

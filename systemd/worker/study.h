@@ -28,13 +28,19 @@ GSN_DEFINE_AUTO(gsn_study_files);
 int gsn_study_gather(struct gsn_store *store, const char *name, struct gsn_study_files **ret_files,
                      struct gsn_error *err);
 
+/* Adds what each specimen that takes part has in the cells of the base mesh, for the maps of the
+ * losses; of a blind study nothing, for it has no controls. */
+int gsn_study_read_cells(struct gsn_study_files *files, struct gsn_store *store,
+                         struct gsn_error *err);
+
 /* borrows: valid as long as files. */
 const struct gsn_study_input *gsn_study_files_input(const struct gsn_study_files *files);
 /* SHA-256 of the specimens, their runs and who is left out: what a freeze keeps. */
 const char *gsn_study_files_digest(const struct gsn_study_files *files);
 int gsn_study_is_frozen(const struct gsn_study_files *files);
 
-/* Writes DIR/studies/NAME/index.html, study.json, animals.csv. gives: that folder. */
+/* Writes DIR/studies/NAME/index.html, study.json, animals.csv, loss-cells.csv.
+ * gives: that folder. */
 int gsn_study_write(struct gsn_store *store, const struct gsn_study *study, char **ret_folder,
                     struct gsn_error *err);
 

@@ -68,8 +68,10 @@ static void remove_in(const struct copy *copy, const char *name)
 
 static void copy_done(struct copy *copy)
 {
-    static const char *const names[] = { "gieson.db",         "gieson.db-wal", "gieson.db-shm",
-                                         "gieson.db-journal", "objects",       "audit.head" };
+    static const char *const names[] = { "gieson.db",     "gieson.db-wal",
+                                         "gieson.db-shm", "gieson.db-journal",
+                                         "objects",       "audit.head",
+                                         "reports" };
 
     gsn_store_free(copy->store);
     for (size_t i = 0; copy->dir && i < sizeof names / sizeof *names; i++)
@@ -80,29 +82,41 @@ static void copy_done(struct copy *copy)
 }
 #define auto_copy __attribute__((cleanup(copy_done))) struct copy
 
+static int link_folder(struct gsn_store *store, const struct copy *copy, const char *name,
+                       struct gsn_error *err)
+{
+    gsn_auto_mem(char) from = gsn_format("%s/%s", gsn_store_dir(store), name);
+    gsn_auto_mem(char) to = gsn_format("%s/%s", copy->dir, name);
+    gsn_auto_mem(char) whole = from ? realpath(from, NULL) : NULL;
+
+    if (!from || !to)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory");
+    if (!whole || symlink(whole, to) < 0)
+        return gsn_fail(err, GSN_E_IO, "%s: %s", from, strerror(errno));
+    return GSN_OK;
+}
+
 static int make_copy(struct gsn_store *store, struct copy *copy, struct gsn_error *err)
 {
     const char *const tmp = getenv("TMPDIR");
     gsn_auto_mem(char) dir = gsn_format("%s/gieson.XXXXXX", tmp && tmp[0] ? tmp : "/tmp");
-    gsn_auto_mem(char) objects = gsn_format("%s/objects", gsn_store_dir(store));
-    gsn_auto_mem(char) whole = NULL;
     gsn_auto_mem(char) database = NULL;
-    gsn_auto_mem(char) link = NULL;
     int r = GSN_OK;
 
-    if (!dir || !objects)
+    if (!dir)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
     if (!mkdtemp(dir))
         return gsn_fail(err, GSN_E_IO, "%s: %s", dir, strerror(errno));
     copy->dir = gsn_steal(&dir);
     database = gsn_format("%s/gieson.db", copy->dir);
-    link = gsn_format("%s/objects", copy->dir);
-    whole = realpath(objects, NULL);
-    if (!database || !link)
+    if (!database)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory");
-    if (!whole || symlink(whole, link) < 0)
-        return gsn_fail(err, GSN_E_IO, "%s: %s", objects, strerror(errno));
-    r = gsn_store_copy(store, database, err);
+    r = link_folder(store, copy, "objects", err);
+    /* The models of the controls, which are held against the hashes of their own runs. */
+    if (r >= 0)
+        r = link_folder(store, copy, "reports", err);
+    if (r >= 0)
+        r = gsn_store_copy(store, database, err);
     return r < 0 ? r : gsn_store_open(copy->dir, GSN_STORE_WRITE, &copy->store, err);
 }
 

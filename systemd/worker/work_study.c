@@ -97,6 +97,8 @@ static int make_page(const struct gsn_work_request *request, struct gsn_store *s
     int r = gsn_study_gather(store, name, &files, err);
 
     if (r >= 0)
+        r = gsn_study_read_cells(files, store, err);
+    if (r >= 0)
         r = gsn_study_analyse(gsn_study_files_input(files), &study, err);
     if (r >= 0)
         r = gsn_study_write(store, study, &folder, err);

@@ -4,6 +4,7 @@
 
     study_whole.py BIN study.R     ends with 77 where R is not installed
 """
+import csv
 import json
 import os
 import pathlib
@@ -86,7 +87,8 @@ def main():
         run("study", "drawn")
         page = folder / "store" / "studies" / "drawn"
         first = {p.name: p.read_bytes() for p in page.iterdir()}
-        check(set(first) == {"index.html", "study.json", "animals.csv"}, f"three files: {first.keys()}")
+        check(set(first) == {"index.html", "study.json", "animals.csv", "loss-cells.csv"},
+              f"four files: {first.keys()}")
         run("study")
         check(first == {p.name: p.read_bytes() for p in page.iterdir()}, "the same bytes again")
 
@@ -116,6 +118,21 @@ def main():
             check(abs(value - truth[animal["animal"]]) < 2e-3,
                   f"{animal['animal']}: {value}, true {truth[animal['animal']]}")
 
+        # Each animal's density is one pattern times its mean: each cell has the study's own loss.
+        losses = {(c["group"], c["week"]): c for c in study["comparisons"]
+                  if c["kind"] == "against control" and c["measure"] == "density"}
+        cells = list(csv.DictReader(first["loss-cells.csv"].decode().splitlines()))
+        check(len(cells) == 4 * 6, f"six cells of one cube in four comparisons: {len(cells)}")
+        for cell in cells:
+            whole = losses[cell["group"], float(cell["week"])]
+            check((cell["animals"], cell["animals_against"]) == ("3", "3"), f"animals of {cell}")
+            for name in ("loss_percent", "loss_lower", "loss_upper"):
+                check(abs(float(cell[name]) - whole[name]) < 0.05, f"{name} of {cell}: {whole[name]}")
+            check(abs(float(cell["p"]) / whole["p"] - 1) < 0.02, f"p of {cell}: {whole['p']}")
+            check(abs(float(cell["q"]) / whole["p"] - 1) < 0.02, "q of six cells that are alike")
+        check([m["cells"] for m in study["loss_maps"]] == [6] * 4, f"{study['loss_maps']}")
+        check(first["index.html"].count(b"<polygon") == 4 * 6, "each cell is drawn")
+
         # R, from the CSV alone.
         wrong, compared = compare_r.differences(page, script)
         check(not wrong, "; ".join(wrong))
@@ -137,7 +154,7 @@ def main():
               "an exclusion is shown")
         run("study", "drawn", "unblind", ends=65)
         blind = run("study", "drawn", "blind")
-        text = (page / "index.html").read_text() + (page / "animals.csv").read_text()
+        text = "".join(file.read_text() for file in page.iterdir())
         check(not any(word in blind + text for word in ("placebo", "sham", "drug")),
               "no name of a group while it is blind")
         run("index")

@@ -348,10 +348,11 @@ static int lose(const struct gsn_base_side *treated, const struct gsn_base_cell 
                 struct gsn_loss_cell *c)
 {
     const double there = c->control - zero, here = cell->mean - zero;
-    const double remains = here / there;
+    double remains;
 
     if (!(there > 0) || there <= QUANTILE_95 * c->control_error)
         return 0;
+    remains = here / there;
     c->address = cell->address;
     c->treated = cell->mean;
     c->treated_error = sqrt(variance_of(treated, cell));

@@ -139,6 +139,8 @@ static int compare_cell(struct gsn_base_address address, const struct sides *sid
         return 0;
     a = gsn_group_mean_of(sides->treated, sides->treated_count);
     b = gsn_group_mean_of(sides->control, sides->control_count);
+    if (!(b.mean > 0))
+        return 0;
     *ret = (struct gsn_study_loss_cell){ .address = address,
                                          .treated = a.n,
                                          .controls = b.n,
@@ -147,7 +149,7 @@ static int compare_cell(struct gsn_base_address address, const struct sides *sid
                                          .volume_um3 = sides->volume / (double)a.n,
                                          .loss = gsn_group_loss_of(&a, &b),
                                          .p = gsn_group_compare(&a, &b).p };
-    return b.mean > 0 && isfinite(ret->loss.lower) && isfinite(ret->p);
+    return isfinite(ret->loss.lower) && isfinite(ret->p);
 }
 
 static int compare_p(const void *left, const void *right)

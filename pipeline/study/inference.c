@@ -139,8 +139,8 @@ static void measure_effect(const struct gsn_group_mean *a, const struct gsn_grou
     d->g_upper = unbiased * per_t * invert_noncentrality(t, freedom, 1 - two_sided);
 }
 
-struct gsn_group_difference gsn_group_compare(const struct gsn_group_mean *a,
-                                              const struct gsn_group_mean *b)
+struct gsn_group_difference gsn_group_welch(const struct gsn_group_mean *a,
+                                            const struct gsn_group_mean *b)
 {
     struct gsn_group_difference d = { a->mean - b->mean, NAN, NAN, NAN, NAN, NAN, NAN, NAN, NAN };
     double error, reach;
@@ -157,7 +157,16 @@ struct gsn_group_difference gsn_group_compare(const struct gsn_group_mean *a,
     reach = gsn_student_quantile(two_sided, d.freedom) * error;
     d.lower = d.difference - reach;
     d.upper = d.difference + reach;
-    measure_effect(a, b, &d);
+    return d;
+}
+
+struct gsn_group_difference gsn_group_compare(const struct gsn_group_mean *a,
+                                              const struct gsn_group_mean *b)
+{
+    struct gsn_group_difference d = gsn_group_welch(a, b);
+
+    if (isfinite(d.p))
+        measure_effect(a, b, &d);
     return d;
 }
 

@@ -148,7 +148,7 @@ static int compare_cell(struct gsn_base_address address, const struct sides *sid
                                          .control = b.mean,
                                          .volume_um3 = sides->volume / (double)a.n,
                                          .loss = gsn_group_loss_of(&a, &b),
-                                         .p = gsn_group_compare(&a, &b).p };
+                                         .p = gsn_group_welch(&a, &b).p };
     return isfinite(ret->loss.lower) && isfinite(ret->p);
 }
 

@@ -388,14 +388,6 @@ static void add_pictures(struct gsn_report_text *text, const struct gsn_report *
     gsn_report_text_raw(text, "</section>\n");
 }
 
-static void add_percent(struct gsn_report_text *text, const char *before, double value,
-                        const char *behind)
-{
-    gsn_report_text_raw(text, before);
-    gsn_report_text_number(text, value, 1);
-    gsn_report_text_raw(text, behind);
-}
-
 /* Where it was lost, or why that is not known. */
 static void add_loss_map(struct gsn_report_text *text, const struct gsn_report *report)
 {
@@ -411,20 +403,21 @@ static void add_loss_map(struct gsn_report_text *text, const struct gsn_report *
         gsn_report_text_raw(text, ".</p></section>\n");
         return;
     }
-    add_percent(text, "Half of the baseline's collagen lies where more than ", map->median,
-                " % of it was lost; ");
-    add_percent(text, "a twentieth where less than ", map->low, " % was, ");
-    add_percent(text, "a twentieth where more than ", map->high, " % was. ");
+    gsn_html_figure(text, "Half of the baseline's collagen lies where more than ", map->median, 1,
+                    " % of it was lost; ");
+    gsn_html_figure(text, "a twentieth where less than ", map->low, 1, " % was, ");
+    gsn_html_figure(text, "a twentieth where more than ", map->high, 1, " % was. ");
     if (isfinite(map->noise))
-        add_percent(text, "Sections alone make one cell uncertain by ", map->noise,
-                    " points (standard error): a spread not much wider than that says nothing of "
-                    "the tissue. ");
+        gsn_html_figure(
+            text, "Sections alone make one cell uncertain by ", map->noise, 1,
+            " points (standard error): a spread not much wider than that says nothing of "
+            "the tissue. ");
     gsn_report_text_raw(text, "The cells are ");
     gsn_report_text_count(text, map->cells);
     gsn_report_text_print(text,
                           " tetrahedra, six a cube of %g \xC2\xB5m, the same in every specimen; ",
                           map->edge_um);
-    add_percent(text, "they hold ", 100 * map->shared, " % of this region. ");
+    gsn_html_figure(text, "they hold ", 100 * map->shared, 1, " % of this region. ");
     gsn_report_text_raw(text,
                         "A cell is one piece of the block, laid by the marks: where two animals "
                         "differ in shape, an edge of tissue shows as loss or gain. All of them are "

@@ -110,3 +110,11 @@ int gsn_html_head(struct gsn_report_text *text, const char *name, const char *ki
     gsn_report_text_raw(text, "</style>\n</head>\n<body>\n");
     return GSN_OK;
 }
+
+void gsn_html_figure(struct gsn_report_text *text, const char *before, double value, int decimals,
+                     const char *behind)
+{
+    gsn_report_text_raw(text, before);
+    gsn_report_text_number(text, value, decimals);
+    gsn_report_text_raw(text, behind);
+}

@@ -42,6 +42,9 @@ void gsn_html_image(struct gsn_report_text *text, const struct gsn_report_png *p
                     const char *said);
 /* A unit as people write it: mm3 becomes mm with a raised 3. */
 void gsn_html_unit(struct gsn_report_text *text, const char *unit);
+/* A number of so many decimals within a sentence of ours. */
+void gsn_html_figure(struct gsn_report_text *text, const char *before, double value, int decimals,
+                     const char *behind);
 
 #ifdef __cplusplus
 }

@@ -192,6 +192,24 @@ void gsn_report_text_utf8(struct gsn_report_text *text, const char *said)
     }
 }
 
+void gsn_report_text_field(struct gsn_report_text *text, const char *said)
+{
+    size_t length;
+
+    gsn_report_text_raw(text, "\"");
+    if (*said && strchr("=+-@\t\r", *said))
+        gsn_report_text_raw(text, "'");
+    for (; *said; said += length) {
+        if (gsn_utf8_next(said, &length) == 0xFFFD)
+            gsn_report_text_raw(text, "\xEF\xBF\xBD");
+        else if (*said == '"')
+            gsn_report_text_raw(text, "\"\"");
+        else
+            gsn_report_text_bytes(text, said, length);
+    }
+    gsn_report_text_raw(text, "\"");
+}
+
 void gsn_report_text_base64(struct gsn_report_text *text, const void *bytes, size_t size)
 {
     static const char digit[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";

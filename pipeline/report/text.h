@@ -40,6 +40,9 @@ void gsn_report_text_escape(struct gsn_report_text *text, const char *said);
 void gsn_report_text_escape_short(struct gsn_report_text *text, const char *said, size_t most);
 /* Somebody else's text as UTF-8: wrong bytes become U+FFFD, everything else stays. */
 void gsn_report_text_utf8(struct gsn_report_text *text, const char *said);
+/* Somebody else's text as a field of a CSV (RFC 4180): in quotes, as UTF-8; one that a spreadsheet
+ * would take for a formula gets an apostrophe in front. */
+void gsn_report_text_field(struct gsn_report_text *text, const char *said);
 /* RFC 4648, section 4. */
 void gsn_report_text_base64(struct gsn_report_text *text, const void *bytes, size_t size);
 

@@ -296,10 +296,10 @@ int gsn_study_cells_csv(const struct gsn_study *study, char **ret_bytes, size_t 
                                       at->density, at->control, at->loss.percent, at->loss.lower,
                                       at->loss.upper, at->p },
                    9 * sizeof *figures);
-            gsn_study_csv_text(&text, study->cell[c->a].group);
+            gsn_report_text_field(&text, study->cell[c->a].group);
             put_numbers(&text, &study->cell[c->a].week, 1);
             gsn_report_text_raw(&text, ",");
-            gsn_study_csv_text(&text, study->cell[c->b].group);
+            gsn_report_text_field(&text, study->cell[c->b].group);
             gsn_report_text_print(&text, ",%d,%d,%d,%d", at->address.cube[0], at->address.cube[1],
                                   at->address.cube[2], at->address.tet);
             put_numbers(&text, figures, 12);
@@ -442,14 +442,6 @@ static void draw_layer(struct gsn_report_text *text, const struct gsn_study_loss
         first[1] * GSN_BASE_EDGE_UM);
 }
 
-static void add_percent(struct gsn_report_text *text, const char *before, double value,
-                        const char *behind)
-{
-    gsn_report_text_raw(text, before);
-    gsn_report_text_number(text, value, 0);
-    gsn_report_text_raw(text, behind);
-}
-
 static void add_map(struct gsn_report_text *text, const struct gsn_study *study,
                     const struct gsn_study_loss_map *map)
 {
@@ -466,12 +458,14 @@ static void add_map(struct gsn_report_text *text, const struct gsn_study *study,
     gsn_report_text_escape(text, study->cell[c->b].group);
     gsn_report_text_print(
         text, "</h3>\n<p>%zu cells that two animals or more of either side have. ", map->count);
-    add_percent(text, "In cells with ", 100 * map->lost, " % of the control's collagen a loss");
-    add_percent(text, " is told from none, in cells with ", 100 * map->gained, " % a gain. ");
-    add_percent(text, "Half of the control's collagen lies where more than ", map->median,
-                " % was lost; ");
-    add_percent(text, "a twentieth where less than ", map->low, " %, ");
-    add_percent(text, "a twentieth where more than ", map->high, " %.</p>\n");
+    gsn_html_figure(text, "In cells with ", 100 * map->lost, 0,
+                    " % of the control's collagen a loss");
+    gsn_html_figure(text, " is told from none, in cells with ", 100 * map->gained, 0,
+                    " % a gain. ");
+    gsn_html_figure(text, "Half of the control's collagen lies where more than ", map->median, 0,
+                    " % was lost; ");
+    gsn_html_figure(text, "a twentieth where less than ", map->low, 0, " %, ");
+    gsn_html_figure(text, "a twentieth where more than ", map->high, 0, " %.</p>\n");
     draw_layer(text, map);
 }
 

@@ -15,9 +15,6 @@ extern "C" {
  * GSN_E_NOMEM. */
 int gsn_study_map_losses(struct gsn_study *study, struct gsn_error *err);
 
-/* A text as a field of a CSV: in quotes, never a formula. */
-void gsn_study_csv_text(struct gsn_report_text *text, const char *said);
-
 /* The part of the page that shows them; nothing where there are none. */
 void gsn_study_add_maps(struct gsn_report_text *text, const struct gsn_study *study);
 

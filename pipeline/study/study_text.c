@@ -7,7 +7,6 @@
  * of anything measured; what does not exist is an empty field, which they read as NA. A specimen
  * that takes no part has a row a measure without a value, and why. Fails only when memory runs
  * out. */
-#include "pipeline/study/loss_maps.h"
 #include "pipeline/study/study.h"
 
 #include "pipeline/report/json.h"
@@ -17,25 +16,6 @@
 #include <string.h>
 
 /* ---- CSV ----------------------------------------------------------------------------------- */
-
-/* A text that a spreadsheet would take for a formula gets an apostrophe in front. */
-void gsn_study_csv_text(struct gsn_report_text *text, const char *said)
-{
-    size_t length;
-
-    gsn_report_text_raw(text, "\"");
-    if (*said && strchr("=+-@\t\r", *said))
-        gsn_report_text_raw(text, "'");
-    for (; *said; said += length) {
-        if (gsn_utf8_next(said, &length) == 0xFFFD)
-            gsn_report_text_raw(text, "\xEF\xBF\xBD");
-        else if (*said == '"')
-            gsn_report_text_raw(text, "\"\"");
-        else
-            gsn_report_text_bytes(text, said, length);
-    }
-    gsn_report_text_raw(text, "\"");
-}
 
 static void put_figure(struct gsn_report_text *text, double value)
 {
@@ -48,22 +28,22 @@ static void put_who(struct gsn_report_text *text, const struct gsn_study *study,
 {
     const struct gsn_study_measure *const m = &study->input.measure[measure];
 
-    gsn_study_csv_text(text, study->input.name);
+    gsn_report_text_field(text, study->input.name);
     gsn_report_text_raw(text, ",");
-    gsn_study_csv_text(text, animal);
+    gsn_report_text_field(text, animal);
     gsn_report_text_raw(text, ",");
-    gsn_study_csv_text(text, group);
+    gsn_report_text_field(text, group);
     gsn_report_text_raw(text, ",");
     put_figure(text, week);
     gsn_report_text_print(text, ",%s,",
                           study->input.blind ? "blind"
                           : is_control       ? "control"
                                              : "treated");
-    gsn_study_csv_text(text, study->input.region);
+    gsn_report_text_field(text, study->input.region);
     gsn_report_text_raw(text, ",");
-    gsn_study_csv_text(text, m->name);
+    gsn_report_text_field(text, m->name);
     gsn_report_text_raw(text, ",");
-    gsn_study_csv_text(text, m->unit);
+    gsn_report_text_field(text, m->unit);
     gsn_report_text_raw(text, ",");
 }
 
@@ -77,7 +57,7 @@ static void put_animal(struct gsn_report_text *text, const struct gsn_study *stu
     gsn_report_text_raw(text, ",");
     put_figure(text, animal->error[measure]);
     gsn_report_text_print(text, ",%zu,yes,,", animal->specimens);
-    gsn_study_csv_text(text, study->input.measure[measure].definition);
+    gsn_report_text_field(text, study->input.measure[measure].definition);
     gsn_report_text_raw(text, "\r\n");
 }
 
@@ -86,9 +66,9 @@ static void put_left_out(struct gsn_report_text *text, const struct gsn_study *s
 {
     put_who(text, study, s->animal, s->group, s->week, s->control == NULL, measure);
     gsn_report_text_raw(text, ",,1,no,");
-    gsn_study_csv_text(text, s->left_out);
+    gsn_report_text_field(text, s->left_out);
     gsn_report_text_raw(text, ",");
-    gsn_study_csv_text(text, study->input.measure[measure].definition);
+    gsn_report_text_field(text, study->input.measure[measure].definition);
     gsn_report_text_raw(text, "\r\n");
 }
 

@@ -176,3 +176,15 @@ TEST(running_out_of_memory_is_remembered)
 
     CHECK_EVERY_OOM(write_a_lot(&err), err);
 }
+
+TEST(a_field_of_a_table_is_quoted_and_no_formula)
+{
+    gsn_auto_report_text text = { .bytes = NULL };
+
+    gsn_report_text_field(&text, "a \"b\", c");
+    gsn_report_text_raw(&text, ",");
+    gsn_report_text_field(&text, "=1+1");
+    gsn_report_text_raw(&text, ",");
+    gsn_report_text_field(&text, "\xFF");
+    assert_string_equal(text.bytes, "\"a \"\"b\"\", c\",\"'=1+1\",\"\xEF\xBF\xBD\"");
+}

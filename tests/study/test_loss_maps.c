@@ -49,15 +49,20 @@ static void add(struct drawn *d, const char *name, const char *animal, const cha
     d->count++;
 }
 
-static struct gsn_study *analysed(const struct drawn *d)
+static struct gsn_study_input input_of(const struct drawn *d)
 {
-    struct gsn_study_input input = { .name = "drawn",
+    return (struct gsn_study_input){ .name = "drawn",
                                      .version = "0",
                                      .region = "all",
                                      .measure = &MEASURE,
                                      .measure_count = 1,
                                      .specimen = d->specimen,
                                      .specimen_count = d->count };
+}
+
+static struct gsn_study *analysed(const struct drawn *d)
+{
+    const struct gsn_study_input input = input_of(d);
     struct gsn_study *study = NULL;
     struct gsn_error err = { 0 };
 
@@ -243,13 +248,7 @@ TEST(the_table_has_a_row_a_cell_and_the_page_draws_its_layer)
 
 static int analyse_and_free(const struct drawn *d, struct gsn_error *err)
 {
-    const struct gsn_study_input input = { .name = "drawn",
-                                           .version = "0",
-                                           .region = "all",
-                                           .measure = &MEASURE,
-                                           .measure_count = 1,
-                                           .specimen = d->specimen,
-                                           .specimen_count = d->count };
+    const struct gsn_study_input input = input_of(d);
     gsn_auto(gsn_study) study = NULL;
     gsn_auto_mem(char) csv = NULL;
     size_t size;

@@ -135,17 +135,22 @@ def marks_wrong(report, folder):
     return wrong
 
 
+# Of a page with 60 sections, bytes.
+MOST_PAGE = 3e6
 # Of cells of the map of the loss: how many intervals hold the truth at least; what the cells are off
 # by, in their own standard errors (root of the mean square), which texture that is no error makes
 # larger.
 CELLS_HELD, CELLS_OFF = 0.90, (0.5, 1.3)
+# Or in points: drawn sections without noise (L0) err by nothing of their own, and what is left is
+# common to all of them.
+CELLS_POINTS = 1.5
 # Axes by falling fraction, as measure/base_cells.h numbers the tetrahedra of a cube.
 TETS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
 def cells_told(place, report, folder, specimen):
     """(how often the interval of a cell's loss holds what the phantom lost there, what cells are off
-    by in standard errors, both in words); None for a control. Cells are found and filled a second
+    by in standard errors, both in words, the same in points); None for a control. Cells are found and filled a second
     time here."""
     if not report["loss_map"]:
         return None
@@ -161,7 +166,7 @@ def cells_told(place, report, folder, specimen):
         cell[0] += before
         cell[1] += after
     rows = place.folder / "store" / "reports" / specimen / "latest" / "base-cells.csv"
-    off = []
+    off, points = [], []
     with open(rows, encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
             cell = truth.get(tuple(int(row[k]) for k in ("cube_x", "cube_y", "cube_z", "tet")))
@@ -169,10 +174,13 @@ def cells_told(place, report, folder, specimen):
             if not row["loss_percent"] or not cell or float(row["volume_um3"]) < key**3 / 12:
                 continue
             lost = 100 * (1 - cell[1] / cell[0])
-            off.append((float(row["loss_percent"]) - lost) / float(row["loss_error"]))
+            points.append(float(row["loss_percent"]) - lost)
+            off.append(points[-1] / float(row["loss_error"]))
     held = sum(abs(z) <= 1.96 for z in off) / max(1, len(off))
-    rms = math.sqrt(sum(z * z for z in off) / max(1, len(off)))
-    return held, rms, f"held {100 * held:.1f} % of {len(off)}, off by {rms:.2f} of their errors"
+    rms, apart = [math.sqrt(sum(z * z for z in list_) / max(1, len(list_)))
+                  for list_ in (off, points)]
+    return held, rms, (f"held {100 * held:.1f} % of {len(off)}, off by {rms:.2f} of their errors, "
+                       f"{apart:.2f} points"), apart
 
 
 def accuracy(bench, args):
@@ -204,17 +212,19 @@ def accuracy(bench, args):
             limits = DEMANDED[args.level]
             linked = specimen == "S00" or \
                 any(m["name"].startswith("Stain against the baseline") for m in report["measures"])
-            good = (linked and rms <= limits[0] and error <= limits[1] and abs(volume) <= limits[2]
-                    and wrong == 0 and len(report["sections"]) == 60
-                    and (not cells or (cells[0] >= CELLS_HELD
-                                       and CELLS_OFF[0] <= cells[1] <= CELLS_OFF[1])))
+            weight = (place.folder / "store" / "reports" / f"GVP-D-{specimen}" / "latest" /
+                      "report.html").stat().st_size
+            good = (linked and weight <= MOST_PAGE and rms <= limits[0] and error <= limits[1]
+                    and abs(volume) <= limits[2] and wrong == 0 and len(report["sections"]) == 60
+                    and (not cells or cells[3] <= CELLS_POINTS
+                         or (cells[0] >= CELLS_HELD and CELLS_OFF[0] <= cells[1] <= CELLS_OFF[1])))
             failed += not good
             worst_rms, worst_loss = max(worst_rms, rms), max(worst_loss, error)
             worst_volume = max(worst_volume, abs(volume))
             print(f"{args.level} seed {seed} {specimen}: registration {rms:.3f} um, marks wrong "
                   f"{wrong}, loss {loss if loss is not None else 'control'} "
                   f"(error {error:.3f} points), V(0.5) {100 * volume:+.2f} %"
-                  f"{', cells ' + cells[2] if cells else ''}"
+                  f"{', cells ' + cells[2] if cells else ''}, page {weight / 1e6:.2f} MB"
                   f"{'' if linked else ', not compared with the baseline by untreated tissue'}"
                   f"{'' if good else '   NOT MET'}", flush=True)
         print(f"  run of {len(folders)} specimens: {took:.1f} s", flush=True)

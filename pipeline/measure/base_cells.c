@@ -30,10 +30,6 @@
 static const size_t SLAB_VOXELS = (size_t)1 << 22;
 static const size_t MOST_CELLS = (size_t)1 << 24;
 
-/* The same piece of the block where the region fills it much further in one specimen is not the
- * same piece of tissue. */
-static const double ALIKE = 0.5;
-static const double LEAST_SHARED = 0.5;
 /* Of a normal distribution, two sides. */
 static const double QUANTILE_95 = 1.959964;
 static const double EDGE = GSN_BASE_EDGE_UM;
@@ -326,8 +322,7 @@ static size_t average_controls(const struct gsn_base_side *control, size_t contr
     for (size_t k = 0; k < controls; k++) {
         const struct gsn_base_cell *const cell = find_cell(control[k].cells, treated);
 
-        if (!cell || fmin(cell->volume_um3, treated->volume_um3) <
-                         ALIKE * fmax(cell->volume_um3, treated->volume_um3))
+        if (!cell)
             continue;
         mean += cell->mean;
         variance += variance_of(&control[k], cell);
@@ -415,11 +410,9 @@ int gsn_loss_map_new(const struct gsn_base_side *control, size_t controls,
         map->count += (size_t)lose(treated, &cells->cell[i], scale->zero, c);
     }
     map->shared = volume > 0 ? shared / volume : 0;
-    if (map->shared < LEAST_SHARED)
+    if (!(shared > 0))
         return gsn_fail(err, GSN_E_WITHHELD,
-                        "the two regions have only %.0f %% of their volume at one place of the "
-                        "block: which piece of the one is which of the other is not known",
-                        100 * map->shared);
+                        "the two regions have no piece of the block in common");
     if (map->count == 0)
         return gsn_fail(err, GSN_E_WITHHELD,
                         "the baseline's density is nowhere told from none: nothing can be lost");

@@ -97,10 +97,8 @@ void gsn_loss_map_free(struct gsn_loss_map *map);
 GSN_DEFINE_AUTO(gsn_loss_map);
 
 /* gives: the loss in each cell that both have. Several controls are averaged, cell by cell, over
- * those that have the cell; of a cell that one region fills less than half as far as the other
- * nothing is said. borrows: all. Fails with GSN_E_WITHHELD when the two share less than half of the
- * treated region, saying how much, or when what is left of a control's density is nowhere above
- * zero; and with GSN_E_NOMEM. */
+ * those that have the cell. borrows: all. Fails with GSN_E_WITHHELD when the regions have no cell
+ * in common, or when a control's density is nowhere told from none; and with GSN_E_NOMEM. */
 int gsn_loss_map_new(const struct gsn_base_side *control, size_t controls,
                      const struct gsn_base_side *treated, const struct gsn_loss_scale *scale,
                      struct gsn_loss_map **ret_map, struct gsn_error *err);

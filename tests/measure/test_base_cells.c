@@ -318,20 +318,26 @@ TEST(several_controls_are_averaged_where_they_have_the_cell)
     CHECK(both > 0 && both < map->count);
 }
 
-TEST(regions_that_do_not_meet_have_no_map_and_the_sentence_says_how_much_they_share)
+TEST(regions_that_do_not_meet_have_no_map_and_of_those_that_do_it_says_how_much_they_share)
 {
-    const double beside[3] = { corner[0] + 30 * 24.0, corner[1], corner[2] };
-    gsn_auto(gsn_mask) region = full_mask(corner, 24.0, 40, 25, 20);
-    gsn_auto(gsn_mask) away = full_mask(beside, 24.0, 12, 25, 20);
-    gsn_auto(gsn_base_cells) there = cells_of(&field, away);
-    gsn_auto(gsn_base_cells) here = cells_of(&field, region);
-    const struct gsn_base_side control = { there, 0.01 }, treated = { here, 0.01 };
+    const double beside[3] = { corner[0] + 20 * 24.0, corner[1], corner[2] };
+    gsn_auto(gsn_mask) all = full_mask(corner, 24.0, 40, 25, 20);
+    gsn_auto(gsn_mask) left = full_mask(corner, 24.0, 12, 25, 20);
+    gsn_auto(gsn_mask) right = full_mask(beside, 24.0, 20, 25, 20);
+    gsn_auto(gsn_base_cells) whole = cells_of(&field, all);
+    gsn_auto(gsn_base_cells) there = cells_of(&field, right);
+    gsn_auto(gsn_base_cells) here = cells_of(&field, left);
+    const struct gsn_base_side control = { there, 0.01 }, apart = { here, 0.01 },
+                               treated = { whole, 0.01 };
     struct gsn_loss_map *map = NULL;
     struct gsn_error err = { 0 };
 
-    CHECK(gsn_loss_map_new(&control, 1, &treated, &plain, &map, &err) == GSN_E_WITHHELD);
-    CHECK(strstr(err.text, "only 2") && strstr(err.text, "one place of the block"));
+    CHECK(gsn_loss_map_new(&control, 1, &apart, &plain, &map, &err) == GSN_E_WITHHELD);
+    CHECK(strstr(err.text, "no piece of the block in common"));
     CHECK(!map);
+    CHECK_OK(gsn_loss_map_new(&control, 1, &treated, &plain, &map, &err), err);
+    CHECK_NEAR(map->shared, 0.5, 1e-12);
+    gsn_loss_map_free(map);
 }
 
 TEST(where_the_control_has_nothing_nothing_is_lost)

@@ -243,8 +243,10 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
                         struct gsn_error *err)
 {
     struct gsn_png_picture *picture = next_picture(analysis, "isosurface", "Isosurface");
+    const double level = analysis->bound[analysis->bound_count / 2].threshold;
     struct gsn_isosurface_options wanted = {
-        .level = analysis->bound[analysis->bound_count / 2].threshold,
+        .level =
+            options->scale.gain > 0 ? options->scale.gain * level + options->scale.offset : level,
         .border = border,
         .most_cells = SURFACE_CELLS,
         .threads = options->threads,
@@ -276,7 +278,7 @@ static int draw_surface(const struct gsn_mask *region, const struct gsn_border *
         "The surface where the density is %.4g: %zu triangles by marching tetrahedra, "
         "normals from the spline's own gradient%s. It bounds what is denser, and follows "
         "the edge of the region where that ends.",
-        wanted.level, triangles->triangle_count,
+        level, triangles->triangle_count,
         triangles->error_um > wanted.error_um ? "; coarser than half a pixel here and there" : "");
     analysis->picture_count++;
     return GSN_OK;

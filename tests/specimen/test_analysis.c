@@ -109,7 +109,6 @@ TEST(a_linear_density_has_the_mean_at_the_centre_and_slabs_above_thresholds)
     CHECK_NEAR(analysis->tolerance, 0.03 * 0.8 * (NX - 1) / NX, 1e-6);
 }
 
-/* 0.1 to 0.9 across the box; what the baseline calls 0.6 reads 0.5 here. */
 /* Light that rises from 0.2 to 0.8 along x, with half of it along y in green: codes of 8 bits are
  * to be found as that light, and black is no data. */
 TEST(true_colour_is_fitted_as_light)
@@ -153,6 +152,7 @@ TEST(true_colour_is_fitted_as_light)
     }
 }
 
+/* 0.1 to 0.9 across the box; what the baseline calls 0.6 reads 0.5 here. */
 TEST(volumes_above_a_density_are_on_the_baselines_scale)
 {
     gsn_auto(gsn_grid) grid = linear_grid(0.5, (struct gsn_vec3){ 0.8 / (STEP * NX), 0, 0 });
@@ -171,6 +171,14 @@ TEST(volumes_above_a_density_are_on_the_baselines_scale)
     CHECK_NEAR(analysis->above_threshold, 0.6, 0);
     CHECK_NEAR(analysis->above_share, 0.5, 1e-12);
     CHECK_NEAR(analysis->density.mean, 0.5, SMOOTHED * 0.5); /* that stays its own */
+
+    gsn_auto(gsn_analysis) own = account_of(grid, "{\"specimen\": \"x\", \"thresholds\": [0.5]}");
+    const struct gsn_png_picture *const there = &analysis->picture[4], *const here =
+                                                                           &own->picture[4];
+
+    CHECK(strcmp(there->id, "isosurface") == 0 && there->size == here->size);
+    CHECK(memcmp(there->png, here->png, here->size) == 0);
+    CHECK(strstr(there->caption, "density is 0.6"));
 }
 
 TEST(a_slope_along_every_axis_leaves_the_mean_where_it_is)

@@ -867,6 +867,7 @@ static int march_rounds(const struct gsn_spline *spline, struct gsn_tets *mesh,
 int gsn_isosurface(const struct gsn_spline *spline, const struct gsn_isosurface_options *options,
                    struct gsn_trimesh **ret_surface, struct gsn_error *err)
 {
+    const struct gsn_level solid = { spline, options->level, options->border };
     struct gsn_isosurface_options full = *options;
     struct marching marching = { .mesh = NULL };
     struct gsn_tets *mesh = NULL;
@@ -882,9 +883,8 @@ int gsn_isosurface(const struct gsn_spline *spline, const struct gsn_isosurface_
         full.error_um = USUAL_ERROR * mean;
     if (full.most_cells == 0)
         full.most_cells = MOST_CELLS;
-    r = gsn_level_cells(spline, options->level,
-                        full.error_um > 0 ? full.error_um : ARC * full.edge_um, LEAST_CELL * mean,
-                        full.most_cells, &mesh, err);
+    r = gsn_level_cells(&solid, full.error_um > 0 ? full.error_um : ARC * full.edge_um,
+                        LEAST_CELL * mean, full.most_cells, &mesh, err);
     if (r >= 0)
         r = march_rounds(spline, mesh, &full, &marching, err);
     if (r >= 0)

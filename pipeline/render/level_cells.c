@@ -8,6 +8,8 @@
  * them, and has no extremum where, along the direction of one edge, all their differences have one
  * sign. Where neither rules it out the tetrahedron is bisected; for a face or an edge only if the
  * piece may reach through it by more than the error allowed, by the slope between the corners.
+ * The end of a region is a distance and no polynomial: there the solid is sampled, at points no
+ * farther apart than the least cell, in cells that it does not stay away from.
  * Reference: R. T. Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer
  * Aided Geometric Design 29, 2012; restriction to a smaller tetrahedron by blossoming.
  *
@@ -30,6 +32,9 @@ enum { ORDER = GSN_DMS_MAX_DEGREE + 1, MOST_ROUNDS = 16 };
 
 /* A doubtful cell is halved. */
 static const double PART = 0.5;
+
+/* Samples along an edge are no more than these. */
+enum { MOST_SAMPLES = 16 };
 
 /* Rounding of a coefficient, relative to the largest. */
 static const double SLACK = 1e-12;
@@ -202,6 +207,83 @@ static int is_doubtful(struct bernstein *p, const struct gsn_dms *space, double 
     return 0;
 }
 
+/* --- where a region ends --- */
+
+/* A cell, what is asked of it, and its polynomial. */
+struct cell {
+    const struct gsn_level *level;
+    struct bernstein polynomial; /* s - level */
+    double corner[4][3], longest_um;
+};
+
+/* The polynomial at barycentric coordinates. */
+static double value_at(const struct bernstein *polynomial, const double lambda[4])
+{
+    struct bernstein p = *polynomial;
+
+    while (p.degree > 0)
+        blossom_step(&p, lambda);
+    return p.at[0][0][0];
+}
+
+/* Whether the point is of the solid; share: barycentric. */
+static int is_solid(const struct cell *cell, const double share[4])
+{
+    double u[3] = { 0, 0, 0 };
+
+    for (unsigned c = 0; c < 4; c++)
+        for (unsigned k = 0; k < 3; k++)
+            u[k] += share[c] * cell->corner[c][k];
+    return gsn_border_at(cell->level->border, u, NULL) >= 0 &&
+           value_at(&cell->polynomial, share) >= 0;
+}
+
+/* Whether the region's border may be nearer to the cell's middle than its farthest corner. */
+static int may_end_here(const struct cell *cell)
+{
+    double middle[3] = { 0, 0, 0 }, farthest = 0;
+
+    for (unsigned c = 0; c < 4; c++)
+        for (unsigned k = 0; k < 3; k++)
+            middle[k] += cell->corner[c][k] / 4;
+    for (unsigned c = 0; c < 4; c++) {
+        double d[3];
+
+        gsn_subtract(cell->corner[c], middle, d);
+        farthest = fmax(farthest, gsn_dot(d, d));
+    }
+    return fabs(gsn_border_at(cell->level->border, middle, NULL)) <= sqrt(farthest);
+}
+
+/* Whether the corners are alike and a point between them is not, of points at most apart_um from
+ * each other along the edges. */
+static int hides_end(const struct cell *cell, double apart_um)
+{
+    const int n = (int)fmin(MOST_SAMPLES, ceil(cell->longest_um / apart_um));
+    int solid = -1;
+
+    if (!may_end_here(cell))
+        return 0;
+    for (unsigned c = 0; c < 4; c++) {
+        const double share[4] = { c == 0, c == 1, c == 2, c == 3 };
+        const int here = is_solid(cell, share);
+
+        if (solid >= 0 && here != solid)
+            return 0;
+        solid = here;
+    }
+    for (int i = 0; i <= n; i++)
+        for (int j = 0; i + j <= n; j++)
+            for (int k = 0; i + j + k <= n; k++) {
+                const double share[4] = { (double)(n - i - j - k) / n, (double)i / n, (double)j / n,
+                                          (double)k / n };
+
+                if (is_solid(cell, share) != solid)
+                    return 1;
+            }
+    return 0;
+}
+
 /* --- rounds --- */
 
 double gsn_cell_longest_edge(const struct gsn_tets *cells, size_t cell)
@@ -233,27 +315,41 @@ static size_t find_root(const struct gsn_dms *space, const struct gsn_tets *cell
     return tet;
 }
 
-/* error: share of the cell's longest edge. */
-static int ask_cell(const struct gsn_spline *spline, const struct gsn_tets *cells, size_t cell,
-                    double error, struct root *root)
+/* What is asked of all cells. */
+struct question {
+    const struct gsn_level *level;
+    double error_um, least_um;
+};
+
+static int ask_cell(const struct question *question, const struct gsn_tets *cells, size_t cell,
+                    double longest_um, struct root *root)
 {
-    const struct gsn_dms *const space = gsn_spline_space(spline);
-    struct bernstein restricted;
+    const struct gsn_dms *const space = gsn_spline_space(question->level->spline);
+    struct cell asked = { .level = question->level, .longest_um = longest_um };
     double low, high, corner[4][4];
 
     bound_part(&root->polynomial, space, 15, &low, &high);
-    if (low >= 0 || high < 0)
+    if (high < 0 || (low >= 0 && !question->level->border))
         return 0;
-    for (unsigned c = 0; c < 4; c++)
-        gsn_barycentric_at(&root->frame, cells->vertex[cells->tet[cell][c]], corner[c]);
-    restrict_polynomial(&root->polynomial, space, (const double(*)[4])corner, &restricted);
-    return is_doubtful(&restricted, space, error * corner_range(&restricted), root->slack);
+    for (unsigned c = 0; c < 4; c++) {
+        const double *const at = cells->vertex[cells->tet[cell][c]];
+
+        gsn_barycentric_at(&root->frame, at, corner[c]);
+        memcpy(asked.corner[c], at, sizeof asked.corner[c]);
+    }
+    restrict_polynomial(&root->polynomial, space, (const double(*)[4])corner, &asked.polynomial);
+    if (low < 0 &&
+        is_doubtful(&asked.polynomial, space,
+                    question->error_um / longest_um * corner_range(&asked.polynomial), root->slack))
+        return 1;
+    return question->level->border && hides_end(&asked, question->least_um);
 }
 
 /* limit: of each cell's volume, 0 where it may stay. Returns how many may not. */
-static size_t doubt_cells(const struct gsn_spline *spline, double level, double error_um,
-                          double least_um, const struct gsn_tets *cells, double *limit)
+static size_t doubt_cells(const struct question *question, const struct gsn_tets *cells,
+                          double *limit)
 {
+    const struct gsn_spline *const spline = question->level->spline;
     size_t doubtful = 0, tet = SIZE_MAX, hint = 0;
     struct root root;
 
@@ -261,13 +357,13 @@ static size_t doubt_cells(const struct gsn_spline *spline, double level, double 
         const double longest = gsn_cell_longest_edge(cells, cell);
 
         limit[cell] = 0;
-        if (longest <= least_um)
+        if (longest <= question->least_um)
             continue;
         hint = find_root(gsn_spline_space(spline), cells, cell, hint);
         if (hint != tet)
-            init_root(spline, level, hint, &root);
+            init_root(spline, question->level->level, hint, &root);
         tet = hint;
-        if (!ask_cell(spline, cells, cell, error_um / longest, &root))
+        if (!ask_cell(question, cells, cell, longest, &root))
             continue;
         limit[cell] = PART * gsn_tets_volume(cells, cell);
         doubtful++;
@@ -276,8 +372,7 @@ static size_t doubt_cells(const struct gsn_spline *spline, double level, double 
 }
 
 /* One round; *ret_done: nothing was in doubt, and cells stays as it is. */
-static int split_doubtful(const struct gsn_spline *spline, double level, double error_um,
-                          double least_um, struct gsn_tets **cells, int *ret_done,
+static int split_doubtful(const struct question *question, struct gsn_tets **cells, int *ret_done,
                           struct gsn_error *err)
 {
     gsn_auto_mem(double) limit = gsn_alloc_array((*cells)->tet_count, sizeof *limit);
@@ -286,7 +381,7 @@ static int split_doubtful(const struct gsn_spline *spline, double level, double 
 
     if (!limit)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a finer mesh");
-    *ret_done = doubt_cells(spline, level, error_um, least_um, *cells, limit) == 0;
+    *ret_done = doubt_cells(question, *cells, limit) == 0;
     if (*ret_done)
         return GSN_OK;
     r = gsn_tets_bisect_behind(*cells, limit, &finer, err);
@@ -297,10 +392,11 @@ static int split_doubtful(const struct gsn_spline *spline, double level, double 
     return GSN_OK;
 }
 
-int gsn_level_cells(const struct gsn_spline *spline, double level, double error_um, double least_um,
+int gsn_level_cells(const struct gsn_level *level, double error_um, double least_um,
                     size_t most_cells, struct gsn_tets **ret_cells, struct gsn_error *err)
 {
-    const struct gsn_tets *const mesh = gsn_dms_mesh(gsn_spline_space(spline));
+    const struct gsn_tets *const mesh = gsn_dms_mesh(gsn_spline_space(level->spline));
+    const struct question question = { level, error_um, least_um };
     gsn_auto(gsn_tets) cells = NULL;
     int done = 0, r;
 
@@ -309,7 +405,7 @@ int gsn_level_cells(const struct gsn_spline *spline, double level, double error_
                      (const uint32_t(*)[4])mesh->tet, mesh->tet_count, &cells, err);
     for (int round = 0; r >= 0 && !done && round < MOST_ROUNDS && cells->tet_count <= most_cells;
          round++)
-        r = split_doubtful(spline, level, error_um, least_um, &cells, &done, err);
+        r = split_doubtful(&question, &cells, &done, err);
     if (r < 0)
         return r;
     *ret_cells = gsn_steal(&cells);

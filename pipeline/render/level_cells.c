@@ -9,7 +9,7 @@
  * sign. Where neither rules it out the tetrahedron is bisected; for a face or an edge only if the
  * piece may reach through it by more than the error allowed, by the slope between the corners.
  * The end of a region is a distance and no polynomial: there the solid is sampled, at points no
- * farther apart than the least cell, in cells that it does not stay away from.
+ * farther apart than the least cell or a sixteenth of this one, in cells that it may pass.
  * Reference: R. T. Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer
  * Aided Geometric Design 29, 2012; restriction to a smaller tetrahedron by blossoming.
  *
@@ -33,7 +33,7 @@ enum { ORDER = GSN_DMS_MAX_DEGREE + 1, MOST_ROUNDS = 16 };
 /* A doubtful cell is halved. */
 static const double PART = 0.5;
 
-/* Samples along an edge are no more than these. */
+/* Samples along an edge are no more than these: a bound of cost. */
 enum { MOST_SAMPLES = 16 };
 
 /* Rounding of a coefficient, relative to the largest. */
@@ -255,8 +255,8 @@ static int may_end_here(const struct cell *cell)
     return fabs(gsn_border_at(cell->level->border, middle, NULL)) <= sqrt(farthest);
 }
 
-/* Whether the corners are alike and a point between them is not, of points at most apart_um from
- * each other along the edges. */
+/* Whether the corners are alike and a point between them is not, of points apart_um from each other
+ * along the longest edge, or a sixteenth of it. */
 static int hides_end(const struct cell *cell, double apart_um)
 {
     const int n = (int)fmin(MOST_SAMPLES, ceil(cell->longest_um / apart_um));

@@ -22,8 +22,9 @@ struct gsn_level {
  * tetrahedra, and none bulges through a face or an edge by more than error_um (estimated), where
  * all its corners lie on one side; but for tetrahedra whose edges are all at most least_um long,
  * for what the seams between tetrahedra add, and where more than most_cells end it. The same of
- * the solid where the region ends, as far as points least_um apart tell. error_um >= 0, least_um >
- * 0. Fails with GSN_E_NOMEM. Source: Bernstein's bounds (Farouki 2012) and gsn_tets_bisect(). */
+ * the solid where the region ends, as far as points tell that are least_um apart, or a sixteenth of
+ * the tetrahedron's longest edge. error_um >= 0, least_um > 0. Fails with GSN_E_NOMEM. Source:
+ * Bernstein's bounds (Farouki 2012) and gsn_tets_bisect(). */
 int gsn_level_cells(const struct gsn_level *level, double error_um, double least_um,
                     size_t most_cells, struct gsn_tets **ret_cells, struct gsn_error *err);
 

@@ -224,24 +224,34 @@ TEST(too_many_cells_end_it_with_what_was_reached_or_refuse_edges)
     kuhn_done(&kuhn);
 }
 
+/* gives: the ball's surface, closed where these voxels end. The border and the spline's mesh are
+ * the caller's to release. */
+static struct gsn_trimesh *ball_within(const struct gsn_lattice *at, struct kuhn *ret_kuhn,
+                                       struct gsn_border **ret_border)
+{
+    struct gsn_isosurface_options options = { .error_um = 5 };
+    gsn_auto(gsn_mask) region = NULL;
+    struct gsn_trimesh *surface = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_mask_new(at, &region, &err), err);
+    memset(region->inside, 1, gsn_lattice_count(at));
+    CHECK_OK(gsn_border_new(region, 1, ret_border, &err), err);
+    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, ret_kuhn, &err), err);
+    options.border = *ret_border;
+    CHECK_OK(gsn_isosurface(ret_kuhn->spline, &options, &surface, &err), err);
+    return surface;
+}
+
 /* Half a ball: of a region that ends at x = 0. */
 TEST(a_surface_is_closed_where_the_region_ends)
 {
     const struct gsn_lattice at = { 20, 40, 40, { 25, -975, -975 }, { 50, 50, 50 } };
-    struct gsn_isosurface_options options = { .error_um = 5 };
-    gsn_auto(gsn_mask) region = NULL;
     gsn_auto(gsn_border) border = NULL;
-    gsn_auto(gsn_trimesh) surface = NULL;
-    struct gsn_error err = { 0 };
     struct kuhn kuhn;
+    gsn_auto(gsn_trimesh) surface = ball_within(&at, &kuhn, &border);
     double area, closing;
 
-    CHECK_OK(gsn_mask_new(&at, &region, &err), err);
-    memset(region->inside, 1, gsn_lattice_count(&at));
-    CHECK_OK(gsn_border_new(region, 1, &border, &err), err);
-    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
-    options.border = border;
-    CHECK_OK(gsn_isosurface(kuhn.spline, &options, &surface, &err), err);
     CHECK(open_edges(surface) == 0);
     CHECK(2 * surface->vertex_count == 4 + surface->triangle_count);
     area = gsn_trimesh_area(surface, &closing);
@@ -266,21 +276,12 @@ TEST(a_region_in_which_no_corner_lies_is_found)
     const struct gsn_lattice at = { 3, 40, 40, { 125, -975, -975 }, { 50, 50, 50 } };
     const double from = 100, to = 250;
     const double truth = M_PI * (radius * radius * (to - from) - (pow(to, 3) - pow(from, 3)) / 3);
-    struct gsn_isosurface_options options = { .error_um = 5 };
-    gsn_auto(gsn_mask) region = NULL;
     gsn_auto(gsn_border) border = NULL;
-    gsn_auto(gsn_trimesh) surface = NULL;
-    struct gsn_error err = { 0 };
     struct kuhn kuhn;
+    gsn_auto(gsn_trimesh) surface = ball_within(&at, &kuhn, &border);
 
-    CHECK_OK(gsn_mask_new(&at, &region, &err), err);
-    memset(region->inside, 1, gsn_lattice_count(&at));
-    CHECK_OK(gsn_border_new(region, 1, &border, &err), err);
-    CHECK_OK(kuhn_new(low, high, cells, 2, 0.05, &ball, &kuhn, &err), err);
     for (size_t v = 0; v < kuhn.mesh->vertex_count; v++)
         CHECK(gsn_border_at(border, kuhn.mesh->vertex[v], NULL) < 0);
-    options.border = border;
-    CHECK_OK(gsn_isosurface(kuhn.spline, &options, &surface, &err), err);
     CHECK(surface->triangle_count > 100 && open_edges(surface) == 0);
     CHECK(2 * surface->vertex_count == 4 + surface->triangle_count);
     CHECK_NEAR(enclosed_volume(surface) / truth, 1, 0.03);

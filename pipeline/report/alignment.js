@@ -296,6 +296,12 @@ function tell() {
   if (slot) link.href = "#" + slot.id;
   head.append(link);
   $("told").replaceChildren(head, list);
+  const large = slot && slot.querySelector("a.glass");
+  if (large) {
+    const to = make("a", "All that the scanner saw, what is not measured, the density");
+    to.href = large.getAttribute("href");
+    $("told").append(to);
+  }
   for (const flag of slot ? slot.querySelectorAll(".flag, .turned") : [])
     $("told").append(flag.cloneNode(true));
   if (field("show") !== "alone")

@@ -16,28 +16,13 @@
 
 #include "pipeline/report/html_elements.h"
 
-/* x and y of the block, then the residual's two parts, all in micrometres; empty: no such mark. */
-static void add_marks(struct gsn_report_text *text, const struct gsn_report_section *section)
-{
-    gsn_report_text_raw(text, " data-marks=\"");
-    for (int i = 0; i < 3; i++) {
-        const struct gsn_point *onto = &section->onto_um[i], *off = &section->off_um[i];
-
-        if (i > 0)
-            gsn_report_text_raw(text, ",");
-        if (section->marker_found[i] && isfinite(onto->x) && isfinite(section->residual_um[i]))
-            gsn_report_text_print(text, "%.1f %.1f %.3f %.3f", onto->x, onto->y, off->x, off->y);
-    }
-    gsn_report_text_raw(text, "\"");
-}
-
 static void add_section(struct gsn_report_text *text, const struct gsn_report_section *section)
 {
     gsn_report_text_print(text, "<figure data-serial=\"%u\" data-z=\"%.9g\" data-state=\"",
                           section->serial, section->z_um);
     gsn_report_text_escape(text, section->state);
     gsn_report_text_raw(text, "\"");
-    add_marks(text, section);
+    gsn_html_marks(text, section);
     if (isfinite(section->predicted_tre_um))
         gsn_report_text_print(text, " data-tre=\"%.1f\"", section->predicted_tre_um);
     if (isfinite(section->tissue_apart_um))

@@ -3,12 +3,13 @@
 /* What every page of ours is made of: its head, pictures inside the file, units.
  *
  * Method: Content Security Policy (W3C) allows pictures inside the file, the style sheet and the
- * two viewers' scripts by their SHA-256, and nothing else.
+ * viewers' scripts by their SHA-256, and nothing else.
  *
  * Failure: GSN_E_NOMEM of a hash; the text remembers that memory ran out. Cost: linear in what is
  * shown; pictures grow by a third as base64. */
 #include "pipeline/report/html_elements.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "pipeline/core/hash.h"
@@ -71,6 +72,14 @@ static int add_hash(struct gsn_report_text *text, const unsigned char *bytes, si
 
 static int add_policy(struct gsn_report_text *text, unsigned scripts, struct gsn_error *err)
 {
+    static const struct {
+        const unsigned char *bytes;
+        const size_t *size;
+    } script[] = { /* by their bits */
+                   { gsn_html_viewer_script, &gsn_html_viewer_script_size },
+                   { gsn_html_alignment_script, &gsn_html_alignment_script_size },
+                   { gsn_html_glass_script, &gsn_html_glass_script_size }
+    };
     int r;
 
     gsn_report_text_raw(
@@ -79,14 +88,11 @@ static int add_policy(struct gsn_report_text *text, unsigned scripts, struct gsn
     r = add_hash(text, gsn_html_style, gsn_html_style_size, err);
     if (scripts)
         gsn_report_text_raw(text, "; script-src");
-    if (r >= 0 && scripts & GSN_HTML_MODEL) {
-        gsn_report_text_raw(text, " ");
-        r = add_hash(text, gsn_html_viewer_script, gsn_html_viewer_script_size, err);
-    }
-    if (r >= 0 && scripts & GSN_HTML_ALIGNMENT) {
-        gsn_report_text_raw(text, " ");
-        r = add_hash(text, gsn_html_alignment_script, gsn_html_alignment_script_size, err);
-    }
+    for (unsigned i = 0; r >= 0 && i < sizeof script / sizeof script[0]; i++)
+        if (scripts >> i & 1U) {
+            gsn_report_text_raw(text, " ");
+            r = add_hash(text, script[i].bytes, *script[i].size, err);
+        }
     gsn_report_text_raw(text, "; base-uri 'none'; form-action 'none'\">\n");
     return r;
 }
@@ -117,4 +123,26 @@ void gsn_html_figure(struct gsn_report_text *text, const char *before, double va
     gsn_report_text_raw(text, before);
     gsn_report_text_number(text, value, decimals);
     gsn_report_text_raw(text, behind);
+}
+
+void gsn_html_run(struct gsn_report_text *text, const unsigned char *script, size_t size)
+{
+    gsn_report_text_raw(text, "<script>");
+    gsn_report_text_bytes(text, script, size);
+    gsn_report_text_raw(text, "</script>\n");
+}
+
+/* x and y of the block, then the residual's two parts, all in micrometres; empty: no such mark. */
+void gsn_html_marks(struct gsn_report_text *text, const struct gsn_report_section *section)
+{
+    gsn_report_text_raw(text, " data-marks=\"");
+    for (int i = 0; i < 3; i++) {
+        const struct gsn_point *onto = &section->onto_um[i], *off = &section->off_um[i];
+
+        if (i > 0)
+            gsn_report_text_raw(text, ",");
+        if (section->marker_found[i] && isfinite(onto->x) && isfinite(section->residual_um[i]))
+            gsn_report_text_print(text, "%.1f %.1f %.3f %.3f", onto->x, onto->y, off->x, off->y);
+    }
+    gsn_report_text_raw(text, "\"");
 }

@@ -83,7 +83,8 @@ static void add_turns(struct gsn_report_text *text, const struct gsn_report_sect
     }
 }
 
-static void add_slot(struct gsn_report_text *text, const struct gsn_report_section *section)
+static void add_slot(struct gsn_report_text *text, const struct gsn_report *report,
+                     const struct gsn_report_section *section)
 {
     const struct look *look = look_of(section->state);
     const int any_mark =
@@ -94,7 +95,13 @@ static void add_slot(struct gsn_report_text *text, const struct gsn_report_secti
         gsn_report_text_print(text, " id=\"section-%u\" data-z=\"%.9g\"", section->serial,
                               section->z_um);
     gsn_report_text_raw(text, ">");
-    if (section->thumbnail.size)
+    if (report->glass && section->glass.size) {
+        gsn_report_text_print(text,
+                              "<a class=\"glass\" href=\"" GSN_REPORT_GLASS_FILE "#section-%u\">",
+                              section->serial);
+        gsn_html_image(text, &section->thumbnail, "the section, large");
+        gsn_report_text_raw(text, "</a>");
+    } else if (section->thumbnail.size)
         gsn_html_image(text, &section->thumbnail, "");
     else
         gsn_report_text_raw(text, "<span class=\"none\"></span>");
@@ -165,7 +172,7 @@ static void add_place(struct gsn_report_text *text, const struct gsn_report *rep
 
         if (section->panel != number || section->row != row || section->column != column)
             continue;
-        add_slot(text, section);
+        add_slot(text, report, section);
         found++;
     }
     if (found == 0)

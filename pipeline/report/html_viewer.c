@@ -96,17 +96,10 @@ void gsn_html_viewer(struct gsn_report_text *text, const struct gsn_report *repo
     gsn_report_text_raw(text, "</script>\n</section>\n");
 }
 
-static void add_script(struct gsn_report_text *text, const unsigned char *bytes, size_t size)
-{
-    gsn_report_text_raw(text, "<script>");
-    gsn_report_text_bytes(text, bytes, size);
-    gsn_report_text_raw(text, "</script>\n");
-}
-
 void gsn_html_script(struct gsn_report_text *text, const struct gsn_report *report)
 {
     if (report->model)
-        add_script(text, gsn_html_viewer_script, gsn_html_viewer_script_size);
+        gsn_html_run(text, gsn_html_viewer_script, gsn_html_viewer_script_size);
     if (report->aligned)
-        add_script(text, gsn_html_alignment_script, gsn_html_alignment_script_size);
+        gsn_html_run(text, gsn_html_alignment_script, gsn_html_alignment_script_size);
 }

@@ -112,7 +112,9 @@ struct gsn_report_section {
     int strained;                         /* whether the section's stretch is known */
     double strain_percent[2], strain_deg; /* longer along that direction, and across it */
     struct gsn_report_png thumbnail;
-    struct gsn_report_png aligned;  /* as its pose lays it; as gsn_report_aligned says */
+    struct gsn_report_png aligned; /* as its pose lays it; as gsn_report_aligned says */
+    /* As gsn_report_glass says; size 0: none. */
+    struct gsn_report_png glass, masked_map, density_map;
     double outline_mm2, masked_mm2; /* reasons overlap, so their areas may sum to more */
     double region_masked;           /* share of the section's part of the region, 0..1 */
     struct gsn_report_masked masked[GSN_REPORT_REASONS];
@@ -217,6 +219,22 @@ struct gsn_report_input {
     size_t size;
 };
 
+/* The file of that page, beside the report's. */
+#define GSN_REPORT_GLASS_FILE "sections.html"
+
+/* The large pictures of sections, for the page beside the report. All show the same square of the
+ * block from corner_um on. A mask is grey: 0, or 1 + a reason's number. A map of the density is RGB
+ * over a frame of its own: red 0 where it is not known, else 1 to 255 from low to high; green 0
+ * outside of the region. */
+struct gsn_report_glass {
+    struct gsn_point corner_um, density_corner_um;
+    double um_per_px, masked_um_per_px;
+    struct gsn_point density_um_per_px;
+    double density_low, density_high;
+    const char *const *reasons; /* reason_count words for what is masked */
+    size_t reason_count;
+};
+
 /* The square of the block that all aligned pictures of sections show. */
 struct gsn_report_aligned {
     struct gsn_point corner_um;
@@ -272,6 +290,7 @@ struct gsn_report {
     const struct gsn_report_tile *tile;                 /* NULL unless the kind is tile */
     const struct gsn_report_model *model;               /* NULL: none */
     const struct gsn_report_aligned *aligned;           /* NULL: no section has such a picture */
+    const struct gsn_report_glass *glass;               /* likewise */
     const struct gsn_report_picture *pictures;
     size_t picture_count;
     const char *const *warnings;
@@ -298,6 +317,11 @@ int gsn_report_json(const struct gsn_report *report, char **ret_text, size_t *re
                     struct gsn_error *err);
 int gsn_report_html(const struct gsn_report *report, char **ret_text, size_t *ret_size,
                     struct gsn_error *err);
+
+/* gives: the page of large pictures that lies beside the report, likewise; borrows report->glass,
+ * which must be there. */
+int gsn_report_glass_page(const struct gsn_report *report, char **ret_text, size_t *ret_size,
+                          struct gsn_error *err);
 
 /* gives: the page on paper (A4), as a PDF. Fails with GSN_E_NOMEM, and with GSN_E_NOTFOUND where
  * the fonts are missing. */

@@ -120,7 +120,8 @@ struct panel_work {
     const struct gsn_mask *region; /* or NULL */
     const struct gsn_poses *poses;
     struct gsn_densities *d;
-    struct gsn_section_planes *planes; /* or NULL */
+    struct gsn_section_planes *planes;          /* or NULL */
+    const struct gsn_aligned_pictures *aligned; /* or NULL */
     size_t count;
     size_t *used; /* the sections to resample */
     double *strength;
@@ -401,6 +402,9 @@ static int process_panel(struct panel_work *work, struct gsn_stack_panel *panel,
         r = process_sections(work, &panel->strength, err);
     if (r >= 0)
         r = gather_held(work, err);
+    if (r >= 0)
+        r = gsn_aligned_pictures_mask(work->aligned, work->poses, labels, work->panel, work->d,
+                                      err);
     gsn_stack_light_table_done(&work->light);
     return r;
 }
@@ -434,7 +438,8 @@ static int open_panel(struct panel_work *work, struct gsn_stack_panel *panel,
     if (r >= 0)
         r = gsn_candidate_sheet_look(sheet, work->poses, scan, number, err);
     if (r >= 0)
-        r = gsn_aligned_pictures_look(aligned, work->poses, scan, number, err);
+        r = gsn_aligned_pictures_look(aligned, work->poses, scan, number, options->threads, work->d,
+                                      err);
     if (r < 0)
         return r;
     panel->opened = 1;
@@ -446,6 +451,7 @@ static int open_panel(struct panel_work *work, struct gsn_stack_panel *panel,
     if (!work->d->grid)
         return GSN_OK;
     work->scan = scan;
+    work->aligned = aligned;
     work->panel = number;
     return process_panel(work, panel, err);
 }
@@ -574,6 +580,8 @@ void gsn_densities_done(struct gsn_densities *d)
     for (size_t i = 0; d->section && i < d->section_count; i++) {
         gsn_free(d->section[i].thumbnail.png);
         gsn_free(d->section[i].aligned.png);
+        gsn_free(d->section[i].glass.png);
+        gsn_free(d->section[i].masked_map.png);
         for (size_t c = 0; c < GSN_CANDIDATES; c++)
             gsn_free(d->section[i].candidate_picture[c].png);
     }

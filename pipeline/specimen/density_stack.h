@@ -21,13 +21,15 @@ struct gsn_section_density {
     enum gsn_section_state state;   /* of its pose, or held for what its picture is like */
     struct gsn_section_flags flags; /* of its pose, and more */
     double clipped; /* share of its tissue with a sample at either end of the codes; masked */
-    struct gsn_artefact_figures masked;               /* what of it is not measured, and why */
+    struct gsn_artefact_figures masked;           /* what of it is not measured, and why */
     double region_masked, region_by[GSN_DEFECTS]; /* shares of its part of the region, 0..1 */
-    struct gsn_stain_amounts tone;                         /* its dyes; no pixels: not looked at */
+    struct gsn_stain_amounts tone;                /* its dyes; no pixels: not looked at */
     double thickness; /* against the panel's other sections; 1: as they are, or not told */
     struct gsn_png_picture thumbnail;                         /* png owned; size 0: none */
     struct gsn_png_picture candidate_picture[GSN_CANDIDATES]; /* likewise */
-    struct gsn_png_picture aligned; /* as its pose lays it; likewise */
+    struct gsn_png_picture aligned;                           /* as its pose lays it; likewise */
+    struct gsn_png_picture glass;      /* the same with all that the scanner saw; likewise */
+    struct gsn_png_picture masked_map; /* grey: 1 + the first reason why it is not measured there */
     unsigned compared_with; /* serial number of the section outlined in them, from 1; 0: none */
 };
 
@@ -42,9 +44,9 @@ struct gsn_stack_panel {
     double red_error; /* relative standard error of its red by vectors and white; 0: the
                          vectors were taken as exact */
     unsigned cell_px; /* side of the cells in which lamp, tones and dust were looked for */
-    struct gsn_illumination lamp;      /* how steady its light was */
-    struct gsn_stain_amounts tone;      /* of all its sections */
-    struct gsn_dust_turn turn; /* as in its scan */
+    struct gsn_illumination lamp;  /* how steady its light was */
+    struct gsn_stain_amounts tone; /* of all its sections */
+    struct gsn_dust_turn turn;     /* as in its scan */
     char note[400];
 };
 
@@ -52,8 +54,9 @@ struct gsn_densities {
     size_t section_count;
     struct gsn_section_density *section; /* owned; as the poses have them */
     struct gsn_section_marks *marks;     /* owned; of each section, with those found by tissue */
-    struct gsn_point aligned_corner;    /* of their aligned pictures, um in the block */
-    double aligned_um_per_px;           /* 0: there are none */
+    struct gsn_point aligned_corner;     /* of their aligned pictures, um in the block */
+    double aligned_um_per_px;            /* 0: there are none */
+    double glass_um_per_px, masked_um_per_px; /* of the same square */
     size_t panel_count;
     struct gsn_stack_panel *panel;  /* owned; as in the specimen */
     struct gsn_grid *grid;          /* owned; NULL without region or solution */
@@ -63,7 +66,7 @@ struct gsn_densities {
     struct gsn_coarse_grid *coarse; /* owned; NULL where there is no grid */
     struct gsn_dust *dust;          /* owned; what is dark on each panel */
     size_t spot_count;              /* of the scanner's dust */
-    struct gsn_artefact_disc *spot;     /* owned; pixels as the scanner gave them */
+    struct gsn_artefact_disc *spot; /* owned; pixels as the scanner gave them */
     unsigned spot_panels;           /* that were compared for it */
     struct gsn_sequence *sequence;  /* owned; what is odd in the order of the sections; NULL: not
                                        looked at, as nothing was measured */

@@ -17,7 +17,8 @@
  *
  * Each part of the report fills its records of struct gsn_report and adds warnings: sections and
  * registration (report_sections.c), figures and parameters (report_figures.c), stain
- * (report_stain.c), loss (report_loss.c) and where it was lost (loss_map.c). Then the verdict:
+ * (report_stain.c), loss (report_loss.c) and where it was lost (loss_map.c), the page of the
+ * sections (glass_page.c). Then the verdict:
  * withheld with its reason, warned by the first warning, or fine; then the bytes, and the measures
  * that are kept as rows.
  *
@@ -307,6 +308,8 @@ int gsn_report_build(const struct gsn_report_inputs *e, struct gsn_specimen_resu
     judge_verdict(e, &d);
     if (e->analysis && e->region)
         r = gsn_builder_loss_map(e, &d, result, err);
+    if (r >= 0 && e->reconstruction && !e->specimen->part)
+        r = gsn_builder_glass(e, &d, result, err);
     if (r >= 0)
         r = fill_outputs(result, &d, err);
     if (r >= 0 && !e->specimen->part)

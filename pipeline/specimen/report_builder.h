@@ -82,6 +82,7 @@ struct gsn_builder {
     struct gsn_report_tile tile;
     struct gsn_report_model model;
     struct gsn_report_aligned aligned;
+    struct gsn_report_glass glass;
     struct gsn_report_loss_map loss_map;
     struct gsn_report_picture loss_picture[GSN_LOSS_PICTURES];
     struct gsn_png_picture loss_png[GSN_LOSS_PICTURES]; /* their bytes owned */
@@ -115,6 +116,11 @@ void gsn_builder_text(struct gsn_report_value *rows, size_t *count, const char *
 
 /* report_sections.c: sections, panels, registration, and what was odd about them. */
 void gsn_builder_sections(const struct gsn_report_inputs *e, struct gsn_builder *d);
+
+/* glass_page.c: the page of large sections, kept as a file of the run; comes after the sections.
+ * Fails with GSN_E_NOMEM. */
+int gsn_builder_glass(const struct gsn_report_inputs *e, struct gsn_builder *d,
+                      struct gsn_specimen_result *result, struct gsn_error *err);
 
 /* report_sections.c: the poses a person may choose from, what people decided and what became of
  * it. Comes after the sections. */

@@ -111,9 +111,8 @@ static void add_sample(const struct gsn_image *image, const struct gsn_placed_bo
     const double v = fmin(fmax(px.y - 0.5, box->y), box->y + box->height - 1);
     const size_t x = (size_t)u, y = (size_t)v;
     const size_t right = x + 1 < (size_t)(box->x + box->width) ? image->channels : 0;
-    const size_t down = y + 1 < (size_t)(box->y + box->height)
-                            ? (size_t)image->channels * image->width
-                            : 0;
+    const size_t down =
+        y + 1 < (size_t)(box->y + box->height) ? (size_t)image->channels * image->width : 0;
     const size_t at = (y * image->width + x) * image->channels;
     const double s = u - (double)x, t = v - (double)y;
     const size_t corner[4] = { at, at + right, at + down, at + right + down };
@@ -121,13 +120,11 @@ static void add_sample(const struct gsn_image *image, const struct gsn_placed_bo
 
     for (size_t k = 0; k < 4; k++)
         for (size_t c = 0; c < 3; c++)
-            sum[c] += weight[k] * (image->bits == 16
-                                       ? ((const uint16_t *)image->samples)[corner[k] + c]
-                                       : ((const uint8_t *)image->samples)[corner[k] + c]);
+            sum[c] +=
+                weight[k] * (image->bits == 16 ? ((const uint16_t *)image->samples)[corner[k] + c]
+                                               : ((const uint8_t *)image->samples)[corner[k] + c]);
 }
 
-/* A processor without fused multiply-adds finds poses that differ in their last digits, and a pixel
- * at the edge of another would be taken or not: what is drawn is settled to these. */
 static const double SETTLED_UM = 1e-6, SETTLED_SCALE = 1e-9;
 
 static double settle(double value, double step)
@@ -135,7 +132,7 @@ static double settle(double value, double step)
     return step * rint(value / step);
 }
 
-static struct gsn_affine settle_pose(const struct gsn_affine *pose)
+struct gsn_affine gsn_settled_pose(const struct gsn_affine *pose)
 {
     return (struct gsn_affine){ .m00 = settle(pose->m00, SETTLED_SCALE),
                                 .m01 = settle(pose->m01, SETTLED_SCALE),
@@ -150,7 +147,7 @@ int gsn_placed_picture(const struct gsn_image *image, enum gsn_light light,
                        unsigned side_px, struct gsn_image **ret_picture, struct gsn_error *err)
 {
     static const struct gsn_colour white = { .r = 255, .g = 255, .b = 255 };
-    const struct gsn_affine to_block = settle_pose(&box->panel_to_block_um);
+    const struct gsn_affine to_block = gsn_settled_pose(&box->panel_to_block_um);
     const struct gsn_affine to_px = gsn_affine_inverse(&to_block);
     const double reach = um_per_px / sqrt(fabs(gsn_affine_det(&to_block)));
     const int samples = (int)fmin(fmax(ceil(reach), 1), 4); /* in each direction */

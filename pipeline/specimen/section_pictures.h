@@ -25,6 +25,10 @@ struct gsn_placed_box {
     int x, y, width, height;
 };
 
+/* A processor without fused multiply-adds finds poses that differ in their last digits, and a pixel
+ * at the edge of another would be taken or not: what is drawn is settled to these. */
+struct gsn_affine gsn_settled_pose(const struct gsn_affine *panel_to_block_um);
+
 /* gives: what a scan (RGB) shows in its box as it lies in the block, on white: side_px square
  * pixels of um_per_px from the corner on. light: as above. Fails with GSN_E_NOMEM. */
 int gsn_placed_picture(const struct gsn_image *image, enum gsn_light light,

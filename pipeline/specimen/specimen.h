@@ -147,8 +147,9 @@ struct gsn_specimen_measure {
 
 /* A file that is kept beside the report: "colour.nrrd", the stack in true colour (sections),
  * "model.vtkhdf", the fitted spline (model/model_file.h; where there is a fit), "base-cells.csv",
- * density and loss on the mesh that specimens share (export/cells_file.h; likewise), "report.pdf",
- * the page on paper, and of each named region "region-NAME.html" and "region-NAME.json", the report
+ * density and loss on the mesh that specimens share (export/cells_file.h; likewise),
+ * "sections.html", the sections large (where they have poses), "report.pdf", the page on paper, and
+ * of each named region "region-NAME.html" and "region-NAME.json", the report
  * of a job that had it alone. */
 struct gsn_specimen_file {
     char name[64];
@@ -156,7 +157,7 @@ struct gsn_specimen_file {
     size_t size;
 };
 
-enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 4 + 2 * GSN_MOST_REGIONS };
+enum { GSN_SPECIMEN_MEASURES = 32, GSN_SPECIMEN_FILES = 5 + 2 * GSN_MOST_REGIONS };
 
 struct gsn_specimen_result {
     int withheld;      /* 1: no figure could be given, the report says why */

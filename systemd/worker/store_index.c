@@ -276,7 +276,7 @@ static int publish_report(struct gsn_store *store, const char *folder, const cha
 int gsn_store_publish(struct gsn_store *store, const char *folder, struct gsn_error *err)
 {
     static const char *const report[] = { "report.html", "report.json", "report.pdf",
-                                          "base-cells.csv" };
+                                          "base-cells.csv", "sections.html" };
     static const char *const study[] = { "index.html", "study.json", "animals.csv",
                                          "loss-cells.csv" };
     auto_studies studies = { 0 };

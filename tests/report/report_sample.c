@@ -36,6 +36,16 @@ static int write_page(const char *folder, const char *name, const struct gsn_rep
     return r;
 }
 
+static int write_glass(const char *folder, const struct gsn_report *report, struct gsn_error *err)
+{
+    gsn_auto_mem(char) page = NULL;
+    gsn_auto_mem(char) path = gsn_format("%s/" GSN_REPORT_GLASS_FILE, folder);
+    size_t size = 0;
+    int r = path ? gsn_report_glass_page(report, &page, &size, err) : GSN_E_NOMEM;
+
+    return r < 0 ? r : gsn_file_write(path, page, size, err);
+}
+
 static int write_all(const char *folder, struct gsn_error *err)
 {
     static const char *const name[] = { "specimen", "volume", "tile" };
@@ -47,6 +57,8 @@ static int write_all(const char *folder, struct gsn_error *err)
         if (!sample)
             return gsn_fail(err, GSN_E_NOMEM, "out of memory for a sample");
         r = write_page(folder, name[kind], sample_report(sample), err);
+        if (r >= 0 && sample_report(sample)->glass)
+            r = write_glass(folder, sample_report(sample), err);
         if (r >= 0 && kind == GSN_REPORT_SPECIMEN) {
             sample_report(sample)->verdict = GSN_REPORT_WITHHELD;
             sample_report(sample)->verdict_reason = "The evidence is too thin.";

@@ -23,6 +23,7 @@ struct sample {
     struct gsn_report_picture picture[PICTURES];
     struct gsn_report_loss_map loss_map;
     struct gsn_report_aligned aligned;
+    struct gsn_report_glass glass;
 };
 
 static const char digest[] = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08";
@@ -173,6 +174,34 @@ static int draw(void (*colour)(double x, double y, double turn, double ret[3]), 
     return sample_png(rgb, width, height, ret_png, NULL);
 }
 
+/* Code 2 in a small disc beside the middle: a fold. */
+static void masked_code(double x, double y, double turn, double ret[3])
+{
+    (void)turn;
+    ret[0] = ret[1] = ret[2] = hypot(x - .4, y + .1) < .15 ? 2 : 0;
+}
+
+/* 1 + 254 x over the right half, not known on the left; the region is a disc. */
+static void density_code(double x, double y, double turn, double ret[3])
+{
+    (void)turn;
+    ret[0] = x > 0 ? 1 + 254 * x : 0;
+    ret[1] = hypot(x, y) < .5 ? 255 : 0;
+    ret[2] = 0;
+}
+
+/* Large enough to be told from the small one. */
+static int fill_glass(struct gsn_report_section *s, double beside, unsigned side)
+{
+    int r = draw(aligned_colour, beside, 2 * side, 2 * side, &s->glass);
+
+    if (r >= 0)
+        r = draw(masked_code, 0, side / 2, side / 2, &s->masked_map);
+    if (r >= 0 && s->serial != 20)
+        r = draw(density_code, 0, side / 2, side / 2, &s->density_map);
+    return r;
+}
+
 static int fill_section(struct sample *sample, unsigned serial, unsigned picture_width)
 {
     static const char *const doubtful[] = { "predicted error above 5 \xC2\xB5m",
@@ -227,6 +256,8 @@ static int fill_section(struct sample *sample, unsigned serial, unsigned picture
         return GSN_OK;
     if (s->posed && (r = draw(aligned_colour, serial == 41 ? .06 : .004 * turn,
                               picture_width / 3 + 1, picture_width / 3 + 1, &s->aligned)) < 0)
+        return r;
+    if (s->posed && (r = fill_glass(s, serial == 41 ? .06 : .004 * turn, picture_width / 3)) < 0)
         return r;
     return draw(section_colour, turn, picture_width / 3 + 1, (picture_width / 3 + 1) * 7 / 8,
                 &s->thumbnail);
@@ -387,6 +418,15 @@ static int fill(struct sample *sample, enum gsn_report_kind kind, unsigned width
         r->section_count = SECTIONS;
         sample->aligned = (struct gsn_report_aligned){ { -1500, -1500 }, 3000. / (width / 3 + 1) };
         r->aligned = width ? &sample->aligned : NULL;
+        if (width >= 24) {
+            static const char *const reasons[] = { "halo", "fold" };
+            const double um = 3000. / (width / 3 * 2), coarse = 3000. / (width / 3 / 2);
+
+            sample->glass = (struct gsn_report_glass){
+                { -1500, -1500 }, { -1500, -1500 }, um, coarse, { coarse, coarse }, 0, 1, reasons, 2
+            };
+            r->glass = &sample->glass;
+        }
         r->panels = sample->panel;
         r->panel_count = PANELS;
         r->registration = &sample->registration;
@@ -435,6 +475,9 @@ void sample_free(struct sample *sample)
     for (int i = 0; i < SECTIONS; i++) {
         gsn_free((void *)(uintptr_t)sample->section[i].thumbnail.bytes);
         gsn_free((void *)(uintptr_t)sample->section[i].aligned.bytes);
+        gsn_free((void *)(uintptr_t)sample->section[i].glass.bytes);
+        gsn_free((void *)(uintptr_t)sample->section[i].masked_map.bytes);
+        gsn_free((void *)(uintptr_t)sample->section[i].density_map.bytes);
     }
     for (int i = 0; i < PICTURES; i++)
         gsn_free((void *)(uintptr_t)sample->picture[i].png.bytes);

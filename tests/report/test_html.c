@@ -228,6 +228,57 @@ TEST(each_section_with_a_pose_lies_in_the_row_with_what_its_marks_leave)
     sample_free(sample);
 }
 
+static char *glass_of(const struct gsn_report *report)
+{
+    struct gsn_error err = { 0 };
+    char *page = NULL;
+    size_t size = 0;
+
+    CHECK_OK(gsn_report_glass_page(report, &page, &size, &err), err);
+    CHECK(strlen(page) == size);
+    return page;
+}
+
+/* CSP Level 3; somebody's names and flags pass the escape. */
+TEST(the_page_of_large_sections_holds_all_with_a_pose_and_fetches_nothing)
+{
+    struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 24);
+    struct gsn_report *report = sample_report(sample);
+    struct gsn_report_section *section = (struct gsn_report_section *)(uintptr_t)report->sections;
+    static const char *const flags[] = { hostile };
+    gsn_auto_report_text wanted = { .bytes = NULL };
+    gsn_auto_mem(char) page = NULL;
+    gsn_auto_mem(char) sheet = NULL;
+    const char *at;
+
+    report->specimen = hostile;
+    section[7].flags = flags;
+    section[7].flag_count = 1;
+    page = glass_of(report);
+    check_well_formed(page);
+    gsn_report_text_raw(&wanted, "content=\"default-src 'none'; img-src data:; style-src");
+    at = add_hash_between(page, "<style>", "</style>", &wanted);
+    gsn_report_text_raw(&wanted, "; script-src");
+    at = add_hash_between(at, "<script>", "</script>", &wanted);
+    gsn_report_text_raw(&wanted, "; base-uri 'none'; form-action 'none'\">");
+    assert_non_null(strstr(page, wanted.bytes));
+    assert_null(strstr(at, "<script>"));
+    assert_null(strstr(page, "http:"));
+    assert_null(strstr(page, "alert('1')"));
+    CHECK(count_of(page, "<figure id=\"section-") == 58);
+    CHECK(count_of(page, "class=\"masked\"") == 58 && count_of(page, "class=\"density\"") == 57);
+    assert_non_null(strstr(page, "data-reasons=\"halo,fold\""));
+    assert_null(strstr(page, "<figure id=\"section-29\"")); /* missing, and held: no place */
+    /* The report leads to each of them. */
+    sheet = page_of(report);
+    CHECK(count_of(sheet, "<a class=\"glass\" href=\"sections.html#section-") == 58);
+    report->glass = NULL;
+    gsn_free(sheet);
+    sheet = page_of(report);
+    CHECK(count_of(sheet, "sections.html#section-") == 0);
+    sample_free(sample);
+}
+
 TEST(the_control_that_is_one_specimen_is_a_link_to_its_page)
 {
     struct sample *sample = sample_new(GSN_REPORT_SPECIMEN, 0);
@@ -516,6 +567,14 @@ TEST(the_same_record_gives_the_same_bytes)
     sample_free(two);
 }
 
+static int glass_once(const struct gsn_report *report, struct gsn_error *err)
+{
+    gsn_auto_mem(char) page = NULL;
+    size_t size;
+
+    return gsn_report_glass_page(report, &page, &size, err);
+}
+
 static int html_once(const struct gsn_report *report, struct gsn_error *err)
 {
     gsn_auto_mem(char) page = NULL;
@@ -530,6 +589,7 @@ TEST(running_out_of_memory_leaks_nothing)
     struct gsn_error err = { 0 };
 
     CHECK_EVERY_OOM(html_once(sample_report(sample), &err), err);
+    CHECK_EVERY_OOM(glass_once(sample_report(sample), &err), err);
     sample_free(sample);
 }
 

@@ -238,7 +238,7 @@ TEST(the_pictures_of_any_number_of_sections_weigh_what_a_page_can_carry)
     gsn_auto(gsn_aligned_pictures) pictures = NULL;
     struct gsn_error err = { 0 };
     unsigned seed = 1;
-    size_t bytes = 0;
+    size_t bytes = 0, large = 0;
 
     CHECK(section && density);
     for (size_t i = 0; i < (size_t)3 * 200 * 160; i++) /* grain in colour, as of stained tissue */
@@ -252,16 +252,21 @@ TEST(the_pictures_of_any_number_of_sections_weigh_what_a_page_can_carry)
         section[i].pose.panel_to_block_um.m00 = section[i].pose.panel_to_block_um.m11 = 10;
     }
     CHECK_OK(gsn_aligned_pictures_new(&poses, &pictures, &err), err);
-    CHECK_OK(gsn_aligned_pictures_look(pictures, &poses, &scan, 1, &err), err);
+    CHECK_OK(gsn_aligned_pictures_look(pictures, &poses, &scan, 1, 2, &densities, &err), err);
     CHECK_OK(gsn_aligned_pictures_code(pictures, &densities, &err), err);
     for (size_t i = 0; i < SECTIONS; i++) {
         CHECK(density[i].aligned.size > 0);
         bytes += density[i].aligned.size;
+        large += density[i].glass.size;
         gsn_free(density[i].aligned.png);
+        gsn_free(density[i].glass.png);
     }
     print_message("  %d pictures of %u pixels weigh %zu bytes\n", SECTIONS,
                   density[0].aligned.width, bytes);
     CHECK(bytes <= GSN_ALIGNED_BYTES && bytes > GSN_ALIGNED_BYTES / 2);
+    print_message("  and large, of %u pixels, %zu bytes\n", density[0].glass.width, large);
+    CHECK(density[0].glass.width > density[0].aligned.width);
+    CHECK(large > GSN_ALIGNED_BYTES && large < 2 * GSN_GLASS_BYTES);
     gsn_free(section);
     gsn_free(density);
 }
@@ -273,7 +278,7 @@ static int align_once(struct gsn_reconstruction *a, const struct gsn_scan *scan,
     int r = gsn_aligned_pictures_new(&a->poses, &pictures, err);
 
     if (r >= 0)
-        r = gsn_aligned_pictures_look(pictures, &a->poses, scan, 2, err);
+        r = gsn_aligned_pictures_look(pictures, &a->poses, scan, 2, 1, &a->densities, err);
     return r < 0 ? r : gsn_aligned_pictures_code(pictures, &a->densities, err);
 }
 

@@ -29,6 +29,7 @@ static void add_controls(struct gsn_report_text *text)
     add_slider(text, "from", "Show from", 0, 1000, 0);
     add_slider(text, "to", "to", 0, 1000, 1000);
     add_slider(text, "shrink", "Cells", 20, 100, 100);
+    add_slider(text, "opacity", "Opacity", 2, 100, 100);
     gsn_report_text_raw(
         text, "<label class=\"tick\"><input type=\"checkbox\" id=\"viewer-smooth\" checked=\"\"> "
               "the spline itself, not cell by cell</label>\n"

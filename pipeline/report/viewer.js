@@ -1,5 +1,5 @@
 /* The model in three dimensions. Draws what lies between two densities, closed where the region or
- * a plane ends it, or every cell by itself; a click asks a cell. Reads the format of
+ * a plane ends it, or seen through, or every cell by itself; a click asks a cell. Reads the format of
  * pipeline/export/page_model.h; micrometres of the block frame, y and z as in the cuts. */
 "use strict";
 (async () => {
@@ -168,22 +168,73 @@ void main() {
   if (u_true == 1) c = mix(12.92 * c, 1.055 * pow(c, vec3(1. / 2.4)) - .055, step(.0031308, c));
   colour = vec4(c, 1);
 }`;
-const program = gl.createProgram();
-for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-  const shader = gl.createShader(kind);
-  gl.shaderSource(shader, text);
-  gl.compileShader(shader);
-  gl.attachShader(program, shader);
+/* Emission and absorption along each ray, from the eye on (Max 1995): opacity grows with density
+ * as the slider says; of a voxel the texture has density and colour times how much of it is known. */
+const THROUGH_VERTEX = `#version 300 es
+out vec2 v_clip;
+void main() {
+  v_clip = vec2(gl_VertexID == 1 ? 3. : -1., gl_VertexID == 2 ? 3. : -1.);
+  gl_Position = vec4(v_clip, 0, 1);
+}`;
+const THROUGH = `#version 300 es
+precision highp float;
+precision highp sampler3D;
+in vec2 v_clip;
+uniform sampler3D u_density, u_colour;
+uniform vec3 u_map[17], u_extent;
+uniform mat3 u_turn;
+uniform vec4 u_frame, u_cut;
+uniform vec2 u_range;
+uniform float u_thick, u_step;
+uniform int u_true;
+out vec4 colour;
+void main() {
+  vec3 from = vec3((v_clip - u_frame.zw) / u_frame.xy, 0) * u_turn, way = -vec3(0, 0, 1) * u_turn;
+  vec3 safe = way + vec3(equal(way, vec3(0))) * 1e-9;
+  vec3 a = (-.5 * u_extent - from) / safe, b = (.5 * u_extent - from) / safe;
+  vec3 least = min(a, b), most = max(a, b);
+  float t = max(max(least.x, least.y), least.z), end = min(min(most.x, most.y), most.z);
+  float along = dot(way, u_cut.xyz), left = u_cut.w - dot(from, u_cut.xyz);
+  if (along > 1e-9) end = min(end, left / along);
+  else if (along < -1e-9) t = max(t, left / along);
+  else if (left < 0.) end = t;
+  colour = vec4(0);
+  t += u_step * fract(52.9829189 * fract(dot(gl_FragCoord.xy, vec2(.06711056, .00583715))));
+  for (int n = 0; n < 400 && t < end && colour.a < .99; n++, t += u_step) {
+    vec3 p = (from + t * way) / u_extent + .5;
+    vec2 got = texture(u_density, p).rg;
+    if (got.g < .02) continue;
+    float s = got.r / got.g;
+    if (s < u_range.x || s > u_range.y) continue;
+    float share = 1. - exp(-u_thick * s * got.g * u_step);
+    int i = int(min(16. * s, 15.));
+    vec3 c = u_true == 1 ? texture(u_colour, p).rgb / got.g
+      : mix(u_map[i], u_map[i + 1], 16. * s - float(i));
+    colour += (1. - colour.a) * share * vec4(c, 1);
+  }
+}`;
+function programOf(vertex, fragment, names) {
+  const made = gl.createProgram();
+  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, text);
+    gl.compileShader(shader);
+    gl.attachShader(made, shader);
+  }
+  ["a_at", "a_normal", "a_s", "a_density", "a_inward", "a_mid", "a_colour"].forEach((name, i) =>
+    gl.bindAttribLocation(made, i, name));
+  gl.linkProgram(made);
+  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) return null;
+  gl.useProgram(made);
+  const uniform = Object.fromEntries(names.map(name =>
+    [name, gl.getUniformLocation(made, "u_" + name)]));
+  gl.uniform3fv(uniform.map, MAP.map(v => v / 255));
+  return { made, uniform };
 }
-["a_at", "a_normal", "a_s", "a_density", "a_inward", "a_mid", "a_colour"].forEach((name, i) =>
-  gl.bindAttribLocation(program, i, name));
-gl.linkProgram(program);
-if (!gl.getProgramParameter(program, gl.LINK_STATUS)) return;
-gl.useProgram(program);
-const u = name => gl.getUniformLocation(program, "u_" + name);
-const uniform = Object.fromEntries(["turn", "frame", "cut", "range", "ends", "shrink", "depth",
-  "light", "cells", "pick", "true"].map(name => [name, u(name)]));
-gl.uniform3fv(u("map"), MAP.map(v => v / 255));
+const solid = programOf(VERTEX, FRAGMENT, ["map", "turn", "frame", "cut", "range", "ends", "shrink",
+  "depth", "light", "cells", "pick", "true"]);
+if (!solid) return;
+const uniform = solid.uniform;
 gl.uniform2f(uniform.ends, low, high);
 gl.uniform1f(uniform.depth, .5 / radius);
 gl.enable(gl.DEPTH_TEST);
@@ -310,6 +361,75 @@ function centre(i) {
      at[3 * node[10 * i + 3] + c]) / 4);
 }
 
+/* What is seen through, made when it first is: a voxel has the value at its middle of what is linear
+ * in each part of each cell. Codes of colour, as the eye has them. */
+let through;
+function voxelsOf(most) {
+  const edge = Math.max(...extent) / most, n = extent.map(e => Math.max(1, Math.ceil(e / edge)));
+  const wide = extent.map((e, c) => e / n[c]), known = new Uint8Array(2 * n[0] * n[1] * n[2]);
+  const colour = channels ? new Uint8Array(3 * n[0] * n[1] * n[2]) : null;
+  const code = v => 255 * (v <= .0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4) - .055);
+  for (let i = 0; i < C; i++) for (const part of PARTS) {
+    const own = part.map(k => node[10 * i + k]), p = own.map(k => [...at.subarray(3 * k, 3 * k + 3)]);
+    const d = [1, 2, 3].map(k => p[k].map((v, c) => v - p[0][c]));
+    const x = [cross(d[1], d[2]), cross(d[2], d[0]), cross(d[0], d[1])], volume = dot(d[0], x[0]);
+    const [least, most] = [Math.min, Math.max].map(end => [0, 1, 2].map(c =>
+      (end(p[0][c], p[1][c], p[2][c], p[3][c]) + extent[c] / 2) / wide[c] - .5));
+    if (Math.abs(volume) < 1e-9) continue;
+    for (let w = Math.max(0, Math.ceil(least[2])); w <= Math.min(n[2] - 1, most[2]); w++)
+      for (let v = Math.max(0, Math.ceil(least[1])); v <= Math.min(n[1] - 1, most[1]); v++)
+        for (let u = Math.max(0, Math.ceil(least[0])); u <= Math.min(n[0] - 1, most[0]); u++) {
+          const q = [u, v, w].map((k, c) => (k + .5) * wide[c] - extent[c] / 2 - p[0][c]);
+          const share = [0, dot(q, x[0]) / volume, dot(q, x[1]) / volume, dot(q, x[2]) / volume];
+          share[0] = 1 - share[1] - share[2] - share[3];
+          if (Math.min(...share) < -1e-6) continue;
+          const mean = f => share.reduce((sum, a, k) => sum + a * f(own[k]), 0);
+          if (mean(k => inward[k]) < 0) continue;
+          const o = (w * n[1] + v) * n[0] + u;
+          known[2 * o] = Math.round(255 * Math.min(1, Math.max(0, (mean(k => s[k]) - low) / (high - low))));
+          known[2 * o + 1] = 255;
+          for (let c = 0; colour && c < 3; c++)
+            colour[3 * o + c] = Math.round(code(mean(k => light[3 * k + c])));
+        }
+  }
+  return { n, edge, known, colour };
+}
+function makeThrough() {
+  const program = programOf(THROUGH_VERTEX, THROUGH, ["map", "density", "colour", "extent", "turn",
+    "frame", "cut", "range", "thick", "step", "true"]);
+  const made = program && { ...program, ...voxelsOf(112) };
+  if (!made) return null;
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  [[made.known, gl.RG8, gl.RG], [made.colour || new Uint8Array(made.n[0] * made.n[1] * made.n[2] * 3),
+    gl.RGB8, gl.RGB]].forEach(([bytes, kept, format], i) => {
+    gl.activeTexture(gl.TEXTURE0 + i);
+    gl.bindTexture(gl.TEXTURE_3D, gl.createTexture());
+    gl.texImage3D(gl.TEXTURE_3D, 0, kept, ...made.n, 0, format, gl.UNSIGNED_BYTE, bytes);
+    for (const name of ["MIN_FILTER", "MAG_FILTER"])
+      gl.texParameteri(gl.TEXTURE_3D, gl["TEXTURE_" + name], gl.LINEAR);
+    for (const axis of "STR")
+      gl.texParameteri(gl.TEXTURE_3D, gl["TEXTURE_WRAP_" + axis], gl.CLAMP_TO_EDGE);
+  });
+  gl.uniform1i(made.uniform.density, 0);
+  gl.uniform1i(made.uniform.colour, 1);
+  gl.uniform3fv(made.uniform.extent, extent);
+  gl.uniform1f(made.uniform.step, .7 * made.edge);
+  made.vao = gl.createVertexArray();
+  return made;
+}
+function renderThrough() {
+  through ||= makeThrough();
+  if (!through) return;
+  const of = through.uniform, ends = range.map(v => (v - low) / (high - low));
+  gl.useProgram(through.made);
+  place(of);
+  gl.uniform2f(of.range, ends[0] < 0 ? -1 : ends[0], ends[1] > 1 ? 2 : ends[1]);
+  gl.uniform1f(of.thick, -Math.log(1 - field("opacity") / 100) / (.2 * radius));
+  gl.uniform1i(of.true, isTrue() ? 1 : 0);
+  gl.bindVertexArray(through.vao);
+  gl.drawArrays(gl.TRIANGLES, 0, 3);
+}
+
 /* ---- what is shown ---- */
 
 const HOME = { azimuth: -.62, elevation: .5, zoom: 1, x: 0, y: 0 };
@@ -317,6 +437,8 @@ const eye = { ...HOME };
 let turn = [], cut = [0, 0, 0, 1], range = [-Infinity, Infinity], chosen = -1, due = 0, coarse = 1;
 const field = name => $(name).value;
 const shrunk = () => +field("shrink") / 100;
+/* A tenth of the model's width at the highest density hides as much as the slider says. */
+const isThrough = () => +field("opacity") < 100 && shrunk() === 1;
 const isTrue = () => channels > 0 && $("true").checked;
 function lookAround() {
   const [sa, ca, se, ce] = [Math.sin(eye.azimuth), Math.cos(eye.azimuth), Math.sin(eye.elevation),
@@ -361,7 +483,9 @@ function setRange() {
 const said = v => v.toFixed(Math.max(0, digits - 2));
 function setShrink() {
   $("shrink-said").textContent = shrunk() === 1 ? "whole" : field("shrink") + " %";
-  $("smooth").disabled = shrunk() < 1;
+  $("smooth").disabled = shrunk() < 1 || isThrough();
+  $("opacity").disabled = shrunk() < 1;
+  $("opacity-said").textContent = +field("opacity") < 100 ? field("opacity") + " %" : "solid";
   setRange();
   setCut();
 }
@@ -374,17 +498,24 @@ const scale = () => fill * eye.zoom;
 function toScreen(p) {
   return [wide / 2 + eye.x + scale() * dot(p, turn[0]), tall / 2 + eye.y - scale() * dot(p, turn[1])];
 }
+function place(of) {
+  gl.uniformMatrix3fv(of.turn, true, turn.flat());
+  gl.uniform4f(of.frame, 2 * scale() / wide, 2 * scale() / tall, 2 * eye.x / wide, -2 * eye.y / tall);
+  gl.uniform4fv(of.cut, cut);
+}
 function render(pick) {
   gl.viewport(0, 0, view.width, view.height);
   gl.clearColor(pick, pick, pick, pick);
   gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+  if (!pick && isThrough()) {
+    renderThrough();
+    return;
+  }
+  gl.useProgram(solid.made);
   gl.uniform1i(uniform.pick, pick);
   gl.uniform1i(uniform.true, isTrue() ? 1 : 0);
   gl.uniform1i(uniform.cells, shrunk() < 1 || !$("smooth").checked ? 1 : 0);
-  gl.uniformMatrix3fv(uniform.turn, true, turn.flat());
-  gl.uniform4f(uniform.frame, 2 * scale() / wide, 2 * scale() / tall, 2 * eye.x / wide,
-               -2 * eye.y / tall);
-  gl.uniform4fv(uniform.cut, cut);
+  place(uniform);
   gl.uniform2fv(uniform.range, range);
   gl.uniform1f(uniform.shrink, shrunk());
   if (shrunk() < 1) {
@@ -520,8 +651,8 @@ function drawScale() {
   to.fillStyle = to.ink;
   to.textAlign = "left";
   to.textBaseline = "top";
-  to.fillText(root.dataset.unit + ($("smooth").checked && shrunk() === 1 ? "" : ", mean of each cell"),
-              x0, 2);
+  to.fillText(root.dataset.unit + (shrunk() < 1 || !$("smooth").checked && !isThrough()
+    ? ", mean of each cell" : ""), x0, 2);
   to.textAlign = "center";
   for (let k = Math.ceil(low / every - 1e-9); k * every <= high + 1e-9 * every; k++) {
     const x = x0 + long * (k * every - low) / (high - low);
@@ -650,8 +781,8 @@ function tell() {
   box.append(make("p", through.length ? "Its sections:" : "No section lies in it."));
   strip.className = "strip";
   for (const { slot, z } of through) {
-    const picture = slot.querySelector("img"), link = make("a");
-    link.href = "#" + slot.id;
+    const picture = slot.querySelector("img"), large = slot.querySelector("a.glass"), link = make("a");
+    link.href = large ? large.getAttribute("href") : "#" + slot.id;
     if (picture) link.append(picture.cloneNode());
     link.append(make("span", `${slot.querySelector(".who").textContent}, z ${z} µm`));
     strip.append(link);
@@ -771,7 +902,8 @@ for (const name of ["cut", "place"])
   $(name).addEventListener("input", () => { setCut(); hurry(); });
 for (const name of ["from", "to"])
   $(name).addEventListener("input", () => { setRange(); hurry(); });
-$("shrink").addEventListener("input", () => { setShrink(); hurry(); });
+for (const name of ["shrink", "opacity"])
+  $(name).addEventListener("input", () => { setShrink(); hurry(); });
 for (const name of ["smooth", "true"])
   $(name).addEventListener("input", () => { drawScale(); later(); });
 $("true").parentElement.hidden = !channels;

@@ -15,7 +15,9 @@ import re
 import struct
 import sys
 import tempfile
+import time
 import unittest
+import zlib
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 import bench
@@ -25,11 +27,12 @@ SIDE, HIGH, STEP = 32, 24, 10.0
 CELLS = 10  # that are asked
 
 
-def write_volume(path):
-    def value(x, y, z):
-        r = math.dist((x, y, z), (16, 15, 11))
-        return 0.15 + 0.7 / (1 + math.exp((r - 8) / 1.2)) + 0.002 * x
+def value(x, y, z):
+    r = math.dist((x, y, z), (16, 15, 11))
+    return 0.15 + 0.7 / (1 + math.exp((r - 8) / 1.2)) + 0.002 * x
 
+
+def write_volume(path):
     head = (f"NRRD0004\ntype: float\nendian: little\ndimension: 3\nspace dimension: 3\n"
             f"sizes: {SIDE} {SIDE} {HIGH}\nspace directions: ({STEP},0,0) (0,{STEP},0) "
             f"(0,0,{STEP})\nspace origin: (-50,100,20)\nspace units: \"um\" \"um\" \"um\"\n"
@@ -84,6 +87,23 @@ class Page(bench.Bench):
         for _ in range(20):
             seen.ask("document.getElementById('viewer-model').dispatchEvent(new KeyboardEvent("
                      "'keydown', { key: 'ArrowDown' }))")
+
+    def colour_at(self, seen, x, y):
+        """Of a pixel of the window, as the browser itself reads a picture of it."""
+        file = self.folder / "seen.png"
+        seen.picture(str(file))
+        data = base64.b64encode(file.read_bytes()).decode()
+        return seen.ask(f"""(async () => {{
+            const image = new Image();
+            image.src = "data:image/png;base64,{data}";
+            await image.decode();
+            const canvas = document.createElement("canvas");
+            canvas.width = image.width;
+            canvas.height = image.height;
+            const to = canvas.getContext("2d");
+            to.drawImage(image, 0, 0);
+            return [...to.getImageData({round(x)}, {round(y)}, 1, 1).data].slice(0, 3);
+        }})()""")
 
     @staticmethod
     def read_cell(seen):
@@ -173,6 +193,45 @@ class Viewer(Page):
         middle_said = [int(v) for v in re.findall(r"-?\d+", said["Middle, µm"])]
         self.assertLess(math.dist(middle_said, [*middle, z]), 80)
 
+    def seen_along(self, low, high, opacity, least, most):
+        """Emission and absorption along z through the middle, over white: the integral itself."""
+        ends = (68, 1, 84), (33, 145, 140), (253, 231, 37)  # viridis at 0, 1/2 and 1, for the sum
+        steps, radius = 4000, STEP * math.hypot(SIDE, SIDE, HIGH) / 2
+        thick = -math.log(1 - opacity / 100) / (0.2 * radius)
+        dz, shine, left = STEP * HIGH / steps, 0.0, 1.0
+        for i in range(steps):
+            v = value(15.5, 15.5, HIGH - 0.5 - (i + 0.5) * HIGH / steps)
+            t = min(1, max(0, (v - low) / (high - low)))
+            if not least <= t <= most:
+                continue
+            share = 1 - math.exp(-thick * t * dz)
+            k, part = min(1, int(2 * t)), 2 * t - min(1, int(2 * t))
+            shine += left * share * (ends[k][1] + part * (ends[k + 1][1] - ends[k][1]))
+            left *= 1 - share
+        return shine + 255 * left  # of green
+
+    def test_what_is_seen_through_is_the_integral_along_the_ray(self):
+        packed = re.search(r'id="viewer-data">([^<]*)<', self.page.read_text(encoding="utf-8")).group(1)
+        low, high = struct.unpack("<16d", zlib.decompress(base64.b64decode(packed))[:128])[13:15]
+        self.assertLess(low, 0.3)
+        self.assertGreater(high, 0.7)
+        with browser.Browser(1000, 800) as seen:
+            x, y, wide, tall = self.open_page(seen)
+            self.set_to(seen, cut="none")
+            self.look_along_z(seen)
+            for opacity, least in ((10, 0), (30, 0), (70, 0), (30, 0.6)):
+                drawn = int(seen.ask("document.getElementById('viewer').dataset.drawn"))
+                self.set_to(seen, **{"opacity": opacity, "from": round(1000 * least)})
+                seen.until(f"+document.getElementById('viewer').dataset.drawn > {drawn}")
+                time.sleep(0.4)  # it draws fewer pixels while it moves
+                got = self.colour_at(seen, x + wide / 2, y + tall / 2)
+                wanted = self.seen_along(low, high, opacity, least, 1)
+                self.assertLess(abs(got[1] - wanted), 12, f"{got} where {wanted:.0f} is true")
+            self.set_to(seen, **{"opacity": 100, "from": 0})
+            self.assertEqual(seen.ask("document.getElementById('viewer-opacity-said').textContent"),
+                             "solid")
+            self.assertEqual(seen.said, [])
+
     def test_levels_bound_the_volume_of_a_cell(self):
         with browser.Browser(1000, 800) as seen:
             x, y, wide, high = self.open_page(seen)
@@ -231,23 +290,6 @@ class Colours(Page):
     def setUpClass(cls):
         cls.work(["phantom", "--specimen", "S00", "--level", "L0", "--seed", "1", "--px", "32",
                   "--out", "{}/scans"], ["import", "{}/scans"])
-
-    def colour_at(self, seen, x, y):
-        """Of a pixel of the window, as the browser itself reads a picture of it."""
-        file = self.folder / "seen.png"
-        seen.picture(str(file))
-        data = base64.b64encode(file.read_bytes()).decode()
-        return seen.ask(f"""(async () => {{
-            const image = new Image();
-            image.src = "data:image/png;base64,{data}";
-            await image.decode();
-            const canvas = document.createElement("canvas");
-            canvas.width = image.width;
-            canvas.height = image.height;
-            const to = canvas.getContext("2d");
-            to.drawImage(image, 0, 0);
-            return [...to.getImageData({round(x)}, {round(y)}, 1, 1).data].slice(0, 3);
-        }})()""")
 
     def test_true_colour_on_a_cut_is_that_of_the_model(self):
         """Seen straight along z, where no light falls on the cut: the probe's colour of the cell."""

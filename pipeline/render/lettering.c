@@ -101,13 +101,28 @@ int gsn_lettering_new(const char *folder, struct gsn_lettering **ret_lettering,
     return r;
 }
 
+enum { PATIENCE = 20000, NAP_US = 100 }; /* two seconds */
+
+/* Pango looks for fonts in a thread of its own, which says what it found before it is done: it
+ * still looks into the map's tables then, and holds the map until it no longer does (pango issues
+ * 784, 872). Returns whether nobody else holds it. */
+static int wait_for_pango(PangoFontMap *map)
+{
+    gint *const holders = (gint *)&G_OBJECT(map)->ref_count;
+
+    for (int i = 0; g_atomic_int_get(holders) > 1 && i < PATIENCE; i++)
+        g_usleep(NAP_US);
+    return g_atomic_int_get(holders) == 1;
+}
+
 void gsn_lettering_free(struct gsn_lettering *lettering)
 {
     if (!lettering)
         return;
     g_clear_object(&lettering->context);
-    /* A map of pango 1.50 never lets go of its configuration. */
-    if (lettering->map)
+    /* A map of pango 1.50 never lets go of its configuration; to take it away throws its tables
+     * away too. Where its thread is not done with them some memory is lost instead. */
+    if (lettering->map && wait_for_pango(lettering->map))
         pango_fc_font_map_set_config(PANGO_FC_FONT_MAP(lettering->map), NULL);
     g_clear_object(&lettering->map);
     gsn_free(lettering);

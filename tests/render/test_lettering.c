@@ -1,9 +1,14 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "pipeline/render/lettering.h"
 
+#include <dlfcn.h>
+#include <fontconfig/fontconfig.h>
+#include <pango/pangofc-fontmap.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "pipeline/core/parallel.h"
@@ -286,6 +291,47 @@ TEST(sheets_have_the_same_bytes_on_any_number_of_threads)
         gsn_image_free(alone[i]);
         gsn_image_free(together[i]);
     }
+}
+
+/* Pango's own thread, slowed down where it has found a font, has said so, and is still at what it
+ * was asked: it gives back the configuration, looks into the map's tables, and lets go of the map.
+ */
+static atomic_int slow, taken, taken_early;
+
+void FcConfigDestroy(FcConfig *config)
+{
+    void (*real)(FcConfig *);
+
+    *(void **)&real = dlsym(RTLD_NEXT, "FcConfigDestroy");
+    real(config);
+    if (atomic_load(&slow) && syscall(SYS_gettid) != getpid())
+        (void)usleep(5000);
+}
+
+void pango_fc_font_map_set_config(PangoFcFontMap *map, FcConfig *config)
+{
+    void (*real)(PangoFcFontMap *, FcConfig *);
+
+    *(void **)&real = dlsym(RTLD_NEXT, "pango_fc_font_map_set_config");
+    if (!config) {
+        atomic_fetch_add(&taken, 1);
+        atomic_fetch_add(&taken_early, g_atomic_int_get((gint *)&G_OBJECT(map)->ref_count) > 1);
+    }
+    real(map, config);
+}
+
+/* Else that thread looks into tables that are gone: it divides by zero, or spins for ever. */
+TEST(nothing_is_taken_from_a_map_that_pangos_thread_still_holds)
+{
+    atomic_store(&slow, 1);
+    for (int i = 0; i < 10; i++) {
+        gsn_auto(gsn_lettering) letters = open_letters();
+
+        CHECK(gsn_lettering_width(letters, i % 2 ? GSN_FACE_BOLD : GSN_FACE_PLAIN, 12, "mm") > 0);
+    }
+    atomic_store(&slow, 0);
+    CHECK(atomic_load(&taken) >= 10);
+    CHECK(atomic_load(&taken_early) == 0);
 }
 
 static int open_once(struct gsn_error *err)

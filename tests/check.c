@@ -1,8 +1,11 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 #include "tests/check.h"
 
+#include <execinfo.h>
+#include <pthread.h>
 #include <stdatomic.h>
 #include <stdio.h>
+#include <string.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
@@ -16,14 +19,94 @@ static int bytes_fd = -1;
 /* 0: every allocation passes. Otherwise the one with this number fails. */
 static atomic_size_t failing, asked;
 
+/* Chains of calls by which memory was asked for, and how often each has failed. A chain is a hash
+ * (FNV-1a) of its return addresses; the table is open, and a sweep that fills it fails the test. */
+enum { FRAMES = 32, CHAINS = 1 << 14, TIMES = 3 };
+
+static struct {
+    pthread_mutex_t lock;
+    atomic_int on;
+    size_t decided, failed; /* numbers of allocations: up to which all are decided; of this run */
+    size_t chains;
+    struct {
+        uint64_t hash;
+        unsigned times;
+    } at[CHAINS];
+} sweep = { .lock = PTHREAD_MUTEX_INITIALIZER };
+
 void *__real_gsn_mem_door(void *old, size_t size, int zeroed);
 void *__wrap_gsn_mem_door(void *old, size_t size, int zeroed);
+
+static uint64_t hash_of_chain(void)
+{
+    void *frame[FRAMES];
+    const int count = backtrace(frame, FRAMES);
+    uint64_t hash = 0xcbf29ce484222325;
+
+    for (int i = 0; i < count; i++) {
+        uint8_t bytes[sizeof frame[i]];
+
+        memcpy(bytes, &frame[i], sizeof bytes);
+        for (size_t k = 0; k < sizeof bytes; k++)
+            hash = (hash ^ bytes[k]) * 0x100000001b3;
+    }
+    return hash ? hash : 1;
+}
+
+/* Whether this allocation, the n-th of the run, is the one that fails: the first that is not
+ * decided and whose chain has not failed often enough. */
+static int is_to_fail(size_t n)
+{
+    const uint64_t hash = hash_of_chain();
+    size_t k = hash % CHAINS;
+
+    while (sweep.at[k].hash && sweep.at[k].hash != hash)
+        k = (k + 1) % CHAINS;
+    if (!sweep.at[k].hash && sweep.chains < CHAINS - 1) {
+        sweep.at[k].hash = hash;
+        sweep.chains++;
+    }
+    sweep.decided = n;
+    if (sweep.at[k].times >= TIMES)
+        return 0;
+    sweep.at[k].times++;
+    return 1;
+}
 
 void *__wrap_gsn_mem_door(void *old, size_t size, int zeroed)
 {
     const size_t n = atomic_fetch_add(&asked, 1) + 1;
+    int fails = n == atomic_load(&failing);
 
-    return n == atomic_load(&failing) ? NULL : __real_gsn_mem_door(old, size, zeroed);
+    if (atomic_load(&sweep.on)) {
+        (void)pthread_mutex_lock(&sweep.lock);
+        if (!sweep.failed && n > sweep.decided && is_to_fail(n)) {
+            sweep.failed = n;
+            fails = 1;
+        }
+        (void)pthread_mutex_unlock(&sweep.lock);
+    }
+    return fails ? NULL : __real_gsn_mem_door(old, size, zeroed);
+}
+
+void gsn_check_sweep_begin(void)
+{
+    sweep.decided = sweep.chains = 0;
+    memset(sweep.at, 0, sizeof sweep.at);
+}
+
+void gsn_check_sweep_run(int on)
+{
+    atomic_store(&asked, 0);
+    if (on)
+        sweep.failed = 0;
+    atomic_store(&sweep.on, on);
+}
+
+size_t gsn_check_sweep_failed(void)
+{
+    CHECK(sweep.chains < CHAINS - 1);
+    return sweep.failed;
 }
 
 void gsn_check_fail_allocation(size_t n)

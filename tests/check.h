@@ -54,22 +54,29 @@ void gsn_check_ok(int code, const struct gsn_error *err, const char *what, const
 void gsn_check_fail_allocation(size_t n);
 size_t gsn_check_allocations(void);
 
-/* Runs the call with the 1st, 2nd, ... allocation failing once (all later ones succeed again),
- * until it passes undisturbed: each failed run must return GSN_E_NOMEM. Leaks are ASan's to find.
- */
+/* One sweep of runs: in each run one allocation fails, the next of those whose chain of calls has
+ * not failed three times yet; gsn_check_sweep_failed() is its number in the run, 0: none was left. */
+void gsn_check_sweep_begin(void);
+void gsn_check_sweep_run(int on);
+size_t gsn_check_sweep_failed(void);
+
+/* Runs the call with one allocation failing at a time (all later ones succeed again) until it
+ * passes undisturbed: each failed run must return GSN_E_NOMEM. Each chain of calls by which it asks
+ * for memory fails the first three times that it is taken. Leaks are ASan's to find. */
 #define CHECK_EVERY_OOM(call, err)                                                                 \
     do {                                                                                           \
-        for (size_t n_ = 1;; n_++) {                                                               \
-            gsn_check_fail_allocation(n_);                                                         \
+        gsn_check_sweep_begin();                                                                   \
+        for (;;) {                                                                                 \
+            gsn_check_sweep_run(1);                                                                \
             const int code_ = (call);                                                              \
-            const size_t asked_ = gsn_check_allocations();                                         \
-            gsn_check_fail_allocation(0);                                                          \
-            if (asked_ < n_) {                                                                     \
+            const size_t failed_ = gsn_check_sweep_failed();                                       \
+            gsn_check_sweep_run(0);                                                                \
+            if (!failed_) {                                                                        \
                 CHECK_OK(code_, err);                                                              \
                 break;                                                                             \
             }                                                                                      \
             if (code_ != GSN_E_NOMEM)                                                              \
-                fail_msg("allocation %zu failed, but the call returned %d (%s)", n_, code_,        \
+                fail_msg("allocation %zu failed, but the call returned %d (%s)", failed_, code_,   \
                          (err).text);                                                              \
         }                                                                                          \
     } while (0)

@@ -216,3 +216,30 @@ TEST(freeing_nothing_is_fine)
 {
     gsn_free(NULL);
 }
+
+/* Asks five times in one place, then once in another. */
+static int ask_six_times(unsigned *runs, struct gsn_error *err)
+{
+    int r = GSN_OK;
+
+    ++*runs;
+    for (int i = 0; r >= 0 && i < 6; i++) {
+        void *const memory = i < 5 ? gsn_alloc(8) : gsn_strdup("another");
+
+        r = memory ? GSN_OK : gsn_fail(err, GSN_E_NOMEM, "out of memory");
+        gsn_free(memory);
+    }
+    return r;
+}
+
+TEST(a_sweep_fails_each_chain_of_calls_three_times_and_then_passes)
+{
+    struct gsn_error err = { 0 };
+
+    for (int again = 0; again < 2; again++) {
+        unsigned runs = 0;
+
+        CHECK_EVERY_OOM(ask_six_times(&runs, &err), err);
+        CHECK(runs == 3 + 1 + 1);
+    }
+}

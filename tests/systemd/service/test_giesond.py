@@ -1000,7 +1000,7 @@ def no_mesher(bench):
         shutil.copy(bench.programs / name, place / name)
     made = bench.folder / "S00"
     subprocess.run([bench.programs / "gieson", "phantom", "--specimen", "S00", "--level", "L0", "--seed", "1",
-                    "--out", made], check=True, stdout=subprocess.DEVNULL)
+                    "--px", "32", "--out", made], check=True, stdout=subprocess.DEVNULL)
     subprocess.run([bench.programs / "gieson", "--store", bench.store, "import", made], check=True,
                    stdout=subprocess.DEVNULL)
     count = bench.ask("SELECT count(*) FROM job WHERE kind = 'panel'")[0][0]

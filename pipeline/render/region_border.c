@@ -113,40 +113,55 @@ int gsn_border_new(const struct gsn_mask *region, unsigned threads, struct gsn_b
     return GSN_OK;
 }
 
+/* The voxel below a place along one axis, and how far beyond it the place is, 0..1. */
+static size_t voxel_below(double u, double origin, double step, size_t count, double *ret_share)
+{
+    const double place = fmin((double)(count - 1), fmax(0, (u - origin) / step));
+    const double below = fmin((double)(count - 2), floor(place));
+
+    *ret_share = place - below;
+    return (size_t)below;
+}
+
+/* Of what is trilinear between eight values, x fastest. */
+static void find_gradient(const double value[8], const double share[3], const double step[3],
+                          double *ret_gradient)
+{
+    for (int c = 0; c < 3; c++) {
+        const int d = (c + 1) % 3, e = (c + 2) % 3;
+
+        ret_gradient[c] = 0;
+        for (unsigned corner = 0; corner < 8; corner++) {
+            const double along = corner >> d & 1 ? share[d] : 1 - share[d];
+            const double across = corner >> e & 1 ? share[e] : 1 - share[e];
+
+            ret_gradient[c] +=
+                (corner >> c & 1 ? value[corner] : -value[corner]) * along * across / step[c];
+        }
+    }
+}
+
 double gsn_border_at(const struct gsn_border *border, const double u[3], double *ret_gradient)
 {
     const struct gsn_lattice *at = &border->at;
-    const size_t count[3] = { at->nx, at->ny, at->nz };
-    const double origin[3] = { at->origin_um.x, at->origin_um.y, at->origin_um.z };
     const double step[3] = { at->step_um.x, at->step_um.y, at->step_um.z };
-    const size_t stride[3] = { 1, at->nx, at->nx * at->ny };
-    double share[3], sum = 0, slope[3] = { 0 };
-    size_t low = 0;
+    double share[3], value[8], sum = 0;
+    const size_t x = voxel_below(u[0], at->origin_um.x, step[0], at->nx, &share[0]);
+    const size_t y = voxel_below(u[1], at->origin_um.y, step[1], at->ny, &share[1]);
+    const size_t z = voxel_below(u[2], at->origin_um.z, step[2], at->nz, &share[2]);
+    const double weight[3][2] = { { 1 - share[0], share[0] },
+                                  { 1 - share[1], share[1] },
+                                  { 1 - share[2], share[2] } };
 
-    for (int c = 0; c < 3; c++) {
-        const double place = fmin((double)(count[c] - 1), fmax(0, (u[c] - origin[c]) / step[c]));
-        const double below = fmin((double)(count[c] - 2), floor(place));
+    for (unsigned k = 0; k < 4; k++) {
+        const float *row = border->distance + ((z + (k >> 1)) * at->ny + y + (k & 1)) * at->nx + x;
 
-        share[c] = place - below;
-        low += (size_t)below * stride[c];
+        value[2 * k] = (double)row[0];
+        value[2 * k + 1] = (double)row[1];
+        sum += weight[0][0] * weight[1][k & 1] * weight[2][k >> 1] * value[2 * k];
+        sum += weight[0][1] * weight[1][k & 1] * weight[2][k >> 1] * value[2 * k + 1];
     }
-    for (unsigned corner = 0; corner < 8; corner++) {
-        double weight[3], value;
-        size_t i = low;
-
-        for (int c = 0; c < 3; c++) {
-            const unsigned up = corner >> c & 1;
-
-            weight[c] = up ? share[c] : 1 - share[c];
-            i += up ? stride[c] : 0;
-        }
-        value = (double)border->distance[i];
-        sum += weight[0] * weight[1] * weight[2] * value;
-        for (int c = 0; c < 3; c++)
-            slope[c] += (corner >> c & 1 ? value : -value) * weight[(c + 1) % 3] *
-                        weight[(c + 2) % 3] / step[c];
-    }
-    for (int c = 0; ret_gradient && c < 3; c++)
-        ret_gradient[c] = slope[c];
+    if (ret_gradient)
+        find_gradient(value, share, step, ret_gradient);
     return sum;
 }

@@ -310,7 +310,8 @@ int gsn_density_localise(const struct gsn_density_source *density, const struct 
 
 static const double PX_MOST_UM = 40;
 const struct gsn_burn gsn_burns[GSN_BURNS] = { { 1, 0 }, { 0.35, 0 }, { 3, 0 },
-                                               { 1, 1 }, { 0.35, 1 }, { 3, 1 } };
+                                               { 1, 1 }, { 0.35, 1 }, { 3, 1 },
+                                               { 4.5, 1 } };
 
 /* Blobs that are measured: ink over the tissue has dozens that are darker than any mark, and few of
  * them are round. */

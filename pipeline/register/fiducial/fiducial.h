@@ -30,7 +30,7 @@ enum {
     GSN_THUMBNAIL_SIDE = 40,
     GSN_FIDUCIAL_HYPOTHESES = 4,
     GSN_APPEARANCE_CLASSES = 8,
-    GSN_BURNS = 6
+    GSN_BURNS = 7
 };
 
 /* What a laser leaves. All marks of a block are alike, so a stack is searched for one kind. */
@@ -39,7 +39,7 @@ struct gsn_burn {
     int holes;    /* burnt through: light in a dark rim. Dark discs are found as well. */
 };
 
-/* From 14 um to 450, the ordinary kind first. */
+/* From 14 um to 450, of holes with their rim to 675, the ordinary kind first. */
 extern const struct gsn_burn gsn_burns[GSN_BURNS];
 /* Discs of 20 to 300 um radius are found where that is so many pixels or more, holes where it is
  * twice as many; smaller ones may be missed. */

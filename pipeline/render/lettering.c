@@ -104,8 +104,8 @@ int gsn_lettering_new(const char *folder, struct gsn_lettering **ret_lettering,
 enum { PATIENCE = 20000, NAP_US = 100 }; /* two seconds */
 
 /* Pango looks for fonts in a thread of its own, which says what it found before it is done: it
- * still looks into the map's tables then, and holds the map until it no longer does (pango issues
- * 784, 872). Returns whether nobody else holds it. */
+ * still looks into the map's tables then, and holds the map until it no longer does.
+ * Returns whether nobody else holds it. */
 static int wait_for_pango(PangoFontMap *map)
 {
     gint *const holders = (gint *)&G_OBJECT(map)->ref_count;

@@ -13,7 +13,7 @@
  *    enough.
  *
  * Failure: memory. Cost: some 4 MB for each million small pixels kept, which are coded once for
- * each quality; 0.1 s of processor for each million large ones. */
+ * each quality; the large ones are laid and coded once. */
 #include "pipeline/specimen/aligned_pictures.h"
 
 #include "pipeline/core/mem.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* Two ways to a mesh: your own points and tetrahedra, or the voxels of a region.
+/* Three ways to a mesh: your own points and tetrahedra, the voxels of a region, or their values too.
  *     mesh [MESHER]      where gieson-mesh is, when it is not installed */
 #include "cube.h"
 
@@ -58,9 +58,41 @@ static void mesh_of_region(const char *mesher)
     free(control);
 }
 
+/* The same ball with the wall of its values: tetrahedra follow it, and the field is near the voxels
+ * with few unknowns. */
+static void mesh_of_values(const char *mesher)
+{
+    static double value[SIDE * SIDE * SIDE], at[SIDE * SIDE * SIDE][3];
+    const struct gsn_voxels grid = { .size = { SIDE, SIDE, SIDE }, .step = { 2, 2, 2 } };
+    const struct gsn_space_options options = { .mesher = mesher };
+    const struct gsn_data data = { .count = SIDE * SIDE * SIDE,
+                                   .at = (const double(*)[3])at,
+                                   .value = value };
+    struct gsn_space *space = NULL;
+    struct gsn_field *field = NULL;
+    struct gsn_field_report report;
+    struct gsn_error err;
+
+    for (int i = 0; i < SIDE * SIDE * SIDE; i++) {
+        const double x = i % SIDE - 11.5, y = i / SIDE % SIDE - 11.5, z = i / SIDE / SIDE - 11.5;
+
+        at[i][0] = 2 * (x + 11.5);
+        at[i][1] = 2 * (y + 11.5);
+        at[i][2] = 2 * (z + 11.5);
+        value[i] = 0.5 - 0.5 * tanh(sqrt(x * x + y * y + z * z) - 7);
+    }
+    must(gsn_space_follow(&grid, value, 10, &options, &space, &err), &err);
+    must(gsn_field_fit(space, &data, NULL, &field, &report, &err), &err);
+    printf("a ball's wall: %zu unknowns leave %.3f of its height\n", report.unknowns, report.rms);
+    same("the residual", report.rms, 0, 0.02);
+    gsn_field_free(field);
+    gsn_space_free(space);
+}
+
 int main(int argc, char **argv)
 {
     own_mesh();
     mesh_of_region(argc > 1 ? argv[1] : NULL);
+    mesh_of_values(argc > 1 ? argv[1] : NULL);
     return 0;
 }

@@ -65,7 +65,8 @@ struct gsn_space_options {
                         tetrahedra there, up to 0.5; 0: 0.015. Larger is smoother across faces and
                         slower */
     const double (*knots)[3]; /* degree + 1 a vertex, the vertex itself first: instead of clouds */
-    const char *mesher;       /* path of gieson-mesh, for gsn_space_cover(); NULL: as installed */
+    const char *mesher;       /* path of gieson-mesh, for gsn_space_cover() and gsn_space_follow();
+                                 NULL: as installed */
 };
 
 /* gives: the space over these tetrahedra, of copies; options may be NULL. Corners of a tetrahedron
@@ -85,6 +86,17 @@ int gsn_space_new(const double (*point)[3], size_t points, const uint32_t (*tet)
 int gsn_space_cover(const struct gsn_voxels *region, double edge,
                     const struct gsn_space_options *options, struct gsn_space **ret_space,
                     struct gsn_error *err);
+
+/* gives: the space over tetrahedra that follow what a field will be of: along walls, where the
+ * value of a voxel of the region falls from one plateau to another within few voxels, their faces
+ * lie in layers beside the wall. A field on it needs several times fewer unknowns than one on a
+ * mesh that knows of no walls. value: of each voxel of the grid, NaN: none; edge: about, of the
+ * triangles along walls and around the region. Where no wall is sharp the mesh follows the region's
+ * rim alone. Fails as gsn_space_cover(), and with GSN_E_INPUT where no voxel of the region has a
+ * value. */
+int gsn_space_follow(const struct gsn_voxels *region, const double *value, double edge,
+                     const struct gsn_space_options *options, struct gsn_space **ret_space,
+                     struct gsn_error *err);
 void gsn_space_free(struct gsn_space *space);
 
 /* borrowed: the mesh as it is kept, and the knots, degree + 1 a vertex. */

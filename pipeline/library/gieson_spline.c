@@ -108,26 +108,69 @@ int gsn_space_new(const double (*point)[3], size_t points, const uint32_t (*tet)
  * one of that edge: as gieson itself does. */
 static const double CELL = 0.6, LARGEST = 1.5;
 
-int gsn_space_cover(const struct gsn_voxels *region, double edge,
-                    const struct gsn_space_options *options, struct gsn_space **ret_space,
-                    struct gsn_error *err)
+/* What is asked of the mesher. gives: ret_installed, which the options keep. */
+static int find_mesher(double edge, const struct gsn_space_options *options, char **ret_installed,
+                       struct gsn_domain_options *ret_domain, struct gsn_error *err)
 {
     struct gsn_domain_options domain = { .mesher = options ? options->mesher : NULL,
                                          .cell_um = CELL * edge,
                                          .max_tet_um3 =
                                              LARGEST * edge * edge * edge / 6 / M_SQRT2 };
-    gsn_auto_mem(char) installed = NULL;
-    gsn_auto(gsn_mask) mask = NULL;
-    gsn_auto(gsn_tets) mesh = NULL;
-    int r = domain.mesher ? GSN_OK : gsn_process_sibling("gieson-mesh", &installed, err);
+    const int r = domain.mesher ? GSN_OK : gsn_process_sibling("gieson-mesh", ret_installed, err);
 
-    if (r >= 0)
-        r = copy_region(region, &mask, err);
     if (r < 0)
         return r;
     if (!domain.mesher)
-        domain.mesher = installed;
-    r = gsn_domain_build(mask, &domain, &mesh, err);
+        domain.mesher = *ret_installed;
+    *ret_domain = domain;
+    return GSN_OK;
+}
+
+int gsn_space_cover(const struct gsn_voxels *region, double edge,
+                    const struct gsn_space_options *options, struct gsn_space **ret_space,
+                    struct gsn_error *err)
+{
+    struct gsn_domain_options domain;
+    gsn_auto_mem(char) installed = NULL;
+    gsn_auto(gsn_mask) mask = NULL;
+    gsn_auto(gsn_tets) mesh = NULL;
+    int r = find_mesher(edge, options, &installed, &domain, err);
+
+    if (r >= 0)
+        r = copy_region(region, &mask, err);
+    if (r >= 0)
+        r = gsn_domain_build(mask, &domain, &mesh, err);
+    return r < 0 ? r : make_space(mesh, options, ret_space, err);
+}
+
+/* Edges of the region's rim and of the largest tetrahedra by the walls': away from walls a field is
+ * smooth, and few tetrahedra do. */
+static const double RIM = 1.6, AWAY = 3;
+
+int gsn_space_follow(const struct gsn_voxels *region, const double *value, double edge,
+                     const struct gsn_space_options *options, struct gsn_space **ret_space,
+                     struct gsn_error *err)
+{
+    const struct gsn_wall_options walls = { .edge_um = edge, .rim_um = RIM * edge };
+    struct gsn_domain_options domain;
+    struct gsn_domain_report report;
+    gsn_auto_mem(char) installed = NULL;
+    gsn_auto(gsn_mask) mask = NULL;
+    gsn_auto(gsn_grid) grid = NULL;
+    gsn_auto(gsn_tets) mesh = NULL;
+    int r = find_mesher(AWAY * edge, options, &installed, &domain, err);
+
+    if (r >= 0 && !(edge > 0))
+        r = gsn_fail(err, GSN_E_INPUT, "an edge of %g", edge);
+    if (r >= 0)
+        r = copy_region(region, &mask, err);
+    if (r >= 0)
+        r = gsn_grid_new(&mask->at, &grid, err);
+    if (r < 0)
+        return r;
+    for (size_t i = 0; i < gsn_lattice_count(&grid->at); i++)
+        grid->value[i] = (float)value[i];
+    r = gsn_domain_follow(grid, mask, &walls, &domain, &mesh, &report, err);
     return r < 0 ? r : make_space(mesh, options, ret_space, err);
 }
 

@@ -4,7 +4,7 @@
     import numpy as np
     import gieson_spline as gs
 
-    space = gs.Space(points, tetrahedra, degree=3)      # or gs.Space.cover(mask, step, edge)
+    space = gs.Space(points, tetrahedra, degree=3)      # or gs.Space.follow(grid, step, edge)
     field, report = space.fit(places, values)
     field(places)                                       # values, NaN outside of the mesh
     field.gradient(places)
@@ -106,6 +106,7 @@ def _declare():
     for name, takes in {
             "gsn_space_new": [pointer, size, pointer, size, pointer, pointer, pointer],
             "gsn_space_cover": [pointer, real, pointer, pointer, pointer],
+            "gsn_space_follow": [pointer, pointer, real, pointer, pointer, pointer],
             "gsn_space_free": [pointer], "gsn_space_points": [pointer, pointer],
             "gsn_space_tets": [pointer, pointer], "gsn_space_knots": [pointer],
             "gsn_space_degree": [pointer], "gsn_space_unknowns": [pointer],
@@ -241,6 +242,24 @@ class Space:
         handle = ctypes.c_void_p()
         _call(_lib.gsn_space_cover, ctypes.byref(voxels), edge, ctypes.byref(options),
               ctypes.byref(handle))
+        return cls._of(handle)
+
+    @classmethod
+    def follow(cls, values, step, edge, mask=None, origin=0.0, degree=2, cloud=0.0, mesher=None):
+        """A space over tetrahedra that follow values (nz, ny, nx; NaN: none) in the voxels of a mask.
+
+        Along walls, where values fall from one plateau to another within few voxels, faces lie in
+        layers beside the wall: a field then needs several times fewer unknowns. edge is about that of
+        the triangles there and around the mask; the rest as in cover()."""
+        values = np.ascontiguousarray(values, dtype=np.float64)
+        inside = None if mask is None else _mask(mask)
+        if inside is not None and inside.shape != values.shape:
+            raise ValueError(f"a mask of the shape {values.shape}, not {inside.shape}")
+        voxels = _voxels(values.shape, step, origin, inside)
+        options = _SpaceOptions(degree, cloud, None, None if mesher is None else _path(mesher))
+        handle = ctypes.c_void_p()
+        _call(_lib.gsn_space_follow, ctypes.byref(voxels), values.ctypes.data, edge,
+              ctypes.byref(options), ctypes.byref(handle))
         return cls._of(handle)
 
     def __del__(self):

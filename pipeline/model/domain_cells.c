@@ -8,7 +8,8 @@
  * none is left. The surface is the squares between filled and empty cells.
  *
  * Verification: volume and boundary area agree to 1e-9, every face of the boundary lies between a
- * filled and an empty cell, every voxel centre of the region is in a tetrahedron.
+ * filled and an empty cell, every voxel centre of the region is in a tetrahedron, and none of these
+ * is so flat that knots around its corners cannot be told apart.
  *
  * Failure: GSN_E_INPUT on an empty mask, GSN_E_LIMIT above 2^24 cells, GSN_E_MESH saying what does
  * not hold. Cost: linear in cells, voxels and tetrahedra. */
@@ -541,6 +542,24 @@ static void mark_tet(const struct gsn_tets *mesh, size_t tet, const struct gsn_l
             }
 }
 
+/* Clouds of knots take some thousandths of a height, and knots less than 1e-10 of an edge apart are
+ * refused (dms.c). */
+static const double FLATTEST = 1e-6;
+
+int gsn_domain_verify_heights(const struct gsn_tets *mesh, struct gsn_error *err)
+{
+    for (size_t t = 0; t < mesh->tet_count; t++) {
+        const double height = gsn_tets_height(mesh, t);
+
+        if (!(height > FLATTEST))
+            return gsn_fail(err, GSN_E_MESH,
+                            "tetrahedron %zu is %.3g of its longest edge high, less than %g is too "
+                            "flat to carry knots",
+                            t, height, FLATTEST);
+    }
+    return GSN_OK;
+}
+
 int gsn_domain_verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask *region,
                              struct gsn_error *err)
 {
@@ -564,5 +583,7 @@ int gsn_domain_verify_cells(const struct gsn_tets *mesh, const struct gsn_cells 
 
     if (r >= 0)
         r = verify_boundary(mesh, cells, err);
+    if (r >= 0)
+        r = gsn_domain_verify_heights(mesh, err);
     return r < 0 ? r : gsn_domain_verify_voxels(mesh, region, err);
 }

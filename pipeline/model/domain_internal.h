@@ -69,10 +69,15 @@ int gsn_domain_order(struct gsn_soup *soup, struct gsn_error *err);
 /* Whether a mesh fills what it should: nothing that TetGen says is believed unseen. */
 
 /* The mesh fills exactly the cells: volume and boundary area agree to 1e-9, every boundary face
- * lies between a filled and an empty cell, every voxel centre of the region is inside.
+ * lies between a filled and an empty cell, every voxel centre of the region is inside, and the
+ * heights are those of gsn_domain_verify_heights().
  * Fails with GSN_E_MESH saying what does not hold, GSN_E_NOMEM. */
 int gsn_domain_verify_cells(const struct gsn_tets *mesh, const struct gsn_cells *cells,
                             const struct gsn_mask *region, struct gsn_error *err);
+
+/* No tetrahedron is too flat to carry knots: the exact predicate takes any that is not degenerate.
+ * Fails with GSN_E_MESH. */
+int gsn_domain_verify_heights(const struct gsn_tets *mesh, struct gsn_error *err);
 
 /* Every voxel centre of the region is inside. Fails with GSN_E_MESH, GSN_E_NOMEM. */
 int gsn_domain_verify_voxels(const struct gsn_tets *mesh, const struct gsn_mask *region,

@@ -9,9 +9,9 @@
  * 10.1145/237170.237244).
  *
  * Steps: (1) the box of the points and of the region's voxels, with room around; (2) ask the
- * mesher; (3) its answer fills the box; (4) drop what touches no voxel of the region; (5) every
- * voxel centre of it lies in what is left. Layers that the mesher refuses are made once more,
- * finer; after that a cover of cubes must do (domain.c).
+ * mesher; (3) its answer fills the box; (4) drop what touches no voxel of the region; (5) lift what
+ * is flat; (6) every voxel centre of it lies in what is left, and nothing is flat. Layers that the
+ * mesher refuses are made once more, finer; after that a cover of cubes must do (domain.c).
  *
  * Failure: GSN_E_MESH, GSN_E_PROCESS. Cost: TetGen's. */
 #include "pipeline/model/domain.h"
@@ -194,6 +194,68 @@ static int keep_region(const struct gsn_tets *mesh, const struct gsn_mask *regio
                         tets, ret_mesh, err);
 }
 
+/* --- what is flat --- */
+
+/* Tetrahedra lower than the first part of their longest edge are lifted by the second. Between
+ * layers the mesher leaves slivers, and, where it puts a point on a facet, one between that point
+ * and the facet itself, whose height is a rounding error. */
+static const double FLAT = 1e-3, LIFT = 0.03;
+enum { LIFTS = 3 };
+
+/* The lowest of the tetrahedra around a vertex. */
+static double lowest_around(const struct gsn_tets *mesh, uint32_t vertex)
+{
+    double least = INFINITY;
+
+    for (size_t t = 0; t < mesh->tet_count; t++)
+        for (size_t k = 0; k < 4; k++)
+            if (mesh->tet[t][k] == vertex)
+                least = fmin(least, gsn_tets_height(mesh, t));
+    return least;
+}
+
+/* Moves that corner of a flat tetrahedron off the plane of the others, to the side, which leaves
+ * the tetrahedra around it highest; none, where that is no gain. */
+static void lift_corner(struct gsn_tets *mesh, size_t tet)
+{
+    double best = gsn_tets_height(mesh, tet), at[3];
+    uint32_t moved = 0;
+    bool found = false;
+
+    for (size_t k = 0; k < 8; k++) {
+        const uint32_t *v = mesh->tet[tet];
+        const double *base = mesh->vertex[v[(k + 1) % 4]];
+        double *corner = mesh->vertex[v[k % 4]], was[3], a[3], b[3], normal[3], length, height;
+
+        subtract(mesh->vertex[v[(k + 2) % 4]], base, a);
+        subtract(mesh->vertex[v[(k + 3) % 4]], base, b);
+        gsn_cross3(a, b, normal);
+        length = sqrt(gsn_dot3(normal, normal));
+        memcpy(was, corner, sizeof was);
+        for (size_t c = 0; c < 3; c++)
+            corner[c] += (k < 4 ? LIFT : -LIFT) * sqrt(fmax(gsn_dot3(a, a), gsn_dot3(b, b))) *
+                         normal[c] / length;
+        height = lowest_around(mesh, v[k % 4]);
+        if (height > best) {
+            best = height;
+            moved = v[k % 4];
+            memcpy(at, corner, sizeof at);
+            found = true;
+        }
+        memcpy(corner, was, sizeof was);
+    }
+    if (found)
+        memcpy(mesh->vertex[moved], at, sizeof at);
+}
+
+static void lift_flat(struct gsn_tets *mesh)
+{
+    for (unsigned round = 0; round < LIFTS; round++)
+        for (size_t t = 0; t < mesh->tet_count; t++)
+            if (gsn_tets_height(mesh, t) < FLAT)
+                lift_corner(mesh, t);
+}
+
 static int verify_box(const struct gsn_tets *mesh, const struct span *box, struct gsn_error *err)
 {
     const double a = box->high[0] - box->low[0], b = box->high[1] - box->low[1],
@@ -225,6 +287,10 @@ static int build_around(const struct gsn_mask *region, const struct gsn_wall_lay
         r = verify_box(whole, &box, err);
     if (r >= 0)
         r = keep_region(whole, region, &mesh, err);
+    if (r >= 0) {
+        lift_flat(mesh);
+        r = gsn_domain_verify_heights(mesh, err);
+    }
     if (r >= 0)
         r = gsn_domain_verify_voxels(mesh, region, err);
     if (r >= 0)

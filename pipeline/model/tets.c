@@ -11,6 +11,7 @@
  * at a vertex, and 64 bytes a tetrahedron while faces are sorted. */
 #include "pipeline/model/tets.h"
 
+#include "pipeline/core/geom.h"
 #include "pipeline/model/orient.h"
 
 #include <assert.h>
@@ -261,4 +262,26 @@ double gsn_tets_volume(const struct gsn_tets *mesh, size_t tet)
             row[0][1] * (row[1][2] * row[2][0] - row[1][0] * row[2][2]) +
             row[0][2] * (row[1][0] * row[2][1] - row[1][1] * row[2][0])) /
            6;
+}
+
+double gsn_tets_height(const struct gsn_tets *mesh, size_t tet)
+{
+    static const size_t FACE[4][3] = { { 0, 1, 2 }, { 0, 1, 3 }, { 0, 2, 3 }, { 1, 2, 3 } };
+    double area = 0, edge = 0;
+
+    for (size_t f = 0; f < 4; f++) {
+        double side[3][3], normal[3];
+
+        for (size_t k = 0; k < 3; k++) {
+            const double *from = mesh->vertex[mesh->tet[tet][FACE[f][k]]];
+            const double *to = mesh->vertex[mesh->tet[tet][FACE[f][(k + 1) % 3]]];
+
+            for (size_t c = 0; c < 3; c++)
+                side[k][c] = to[c] - from[c];
+            edge = fmax(edge, gsn_dot3(side[k], side[k]));
+        }
+        gsn_cross3(side[0], side[1], normal);
+        area = fmax(area, sqrt(gsn_dot3(normal, normal)) / 2);
+    }
+    return 3 * gsn_tets_volume(mesh, tet) / (area * sqrt(edge));
 }

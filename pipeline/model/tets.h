@@ -32,6 +32,9 @@ GSN_DEFINE_AUTO(gsn_tets);
 
 /* Volume of one tetrahedron, um^3; > 0. */
 double gsn_tets_volume(const struct gsn_tets *mesh, size_t tet);
+/* Its lowest height by its longest edge: 0.82 for a regular one. What the exact predicate takes for
+ * positive may be 0 or less here, in rounding. */
+double gsn_tets_height(const struct gsn_tets *mesh, size_t tet);
 
 #ifdef __cplusplus
 }

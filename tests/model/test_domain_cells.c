@@ -242,6 +242,28 @@ TEST(an_empty_region_and_too_many_cells_are_refused)
     CHECK(cells == NULL);
 }
 
+/* One tetrahedron of this height over a triangle of edges 1 and more. */
+static int verify_height(double height, struct gsn_error *err)
+{
+    const double point[4][3] = { { 0, 0, 0 }, { 1, 0, 0 }, { 0, 1, 0 }, { 0.3, 0.3, height } };
+    const uint32_t tet[1][4] = { { 0, 1, 2, 3 } };
+    gsn_auto(gsn_tets) mesh = NULL;
+
+    CHECK_OK(gsn_tets_new(point, 4, tet, 1, &mesh, err), *err);
+    return gsn_domain_verify_heights(mesh, err);
+}
+
+TEST(a_tetrahedron_too_flat_for_knots_is_refused_though_it_is_no_degenerate_one)
+{
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(verify_height(1e-4, &err), err);
+    CHECK_OK(verify_height(1.5e-6, &err), err);
+    CHECK(verify_height(1.4e-6, &err) == GSN_E_MESH);
+    CHECK(verify_height(1e-20, &err) == GSN_E_MESH);
+    CHECK(strstr(err.text, "tetrahedron 0") && strstr(err.text, "too flat"));
+}
+
 TEST(an_open_surface_and_impossible_corners_are_refused)
 {
     gsn_auto(gsn_surface) cube = shape_cube(1);

@@ -248,6 +248,25 @@ TEST(every_voxel_is_inside_and_few_tetrahedra_are_empty)
     }
 }
 
+/* Layers of long edges about two balls that nearly touch: between them the mesher leaves tetrahedra
+ * of 5e-7 of their edge. */
+TEST(what_the_mesher_leaves_flat_is_lifted)
+{
+    gsn_auto(gsn_mask) region = shape_mask(SIDE, SIDE, SIDE, STEP, STEP, STEP, in_the_middle);
+    gsn_auto(gsn_grid) grid = drawn(two_balls, BLUR, 0.02);
+    const struct gsn_wall_options walls = { .edge_um = 110, .rim_um = 143 };
+    const struct gsn_domain_options options = shape_options(60, 0);
+    struct gsn_domain_report report;
+    gsn_auto(gsn_tets) mesh = NULL;
+    struct gsn_error err = { 0 };
+
+    CHECK_OK(gsn_domain_follow(grid, region, &walls, &options, &mesh, &report, &err), err);
+    CHECK(report.kind == GSN_DOMAIN_WALLS && !report.why.text[0]);
+    for (size_t t = 0; t < mesh->tet_count; t++)
+        CHECK(gsn_tets_height(mesh, t) >= 1e-3);
+    check_voxels_inside(mesh, region);
+}
+
 TEST(a_gentle_slope_has_no_walls)
 {
     gsn_auto(gsn_mask) region = shape_mask(SIDE, SIDE, SIDE, STEP, STEP, STEP, a_round_bar);

@@ -131,8 +131,8 @@ struct gsn_data {
  *
  *     sum w (s(u) - value)^2 + d h^2 ( smoothing * integral |grad s|^2 + jump * P(s) ),
  *
- * P the squared jumps of the gradient across faces: of degree 2 and 3 it is what smooths without
- * flattening. */
+ * P the squared jumps of the gradient across faces, of degree 2 and 3 what smooths without
+ * flattening, and the curvature of tetrahedra without samples, which so go on straight. */
 struct gsn_field_options {
     double smoothing;    /* 0: none, and then every control value needs samples near it */
     double jump;         /* 0: none; with folds: where the search begins, 0: 1e-5 */

@@ -3,10 +3,11 @@
 /* Least squares: the control points that make a spline follow samples, and how well it predicts.
  *
  * Method: normal equations with two penalties, solved by conjugate gradients (fit_system.c): a
- * little of the gradient (Tikhonov), in closed form for the polynomial with all clouds collapsed,
- * and the jump of the gradient across faces (face_jump.c), as much as two-fold cross-validation
- * asks for. Generalised cross-validation of one fit: P. Craven, G. Wahba, "Smoothing noisy data
- * with spline functions", 1979, 10.1007/BF01404567.
+ * little of the gradient (Tikhonov), and the jump of the gradient across faces (face_jump.c), with
+ * the curvature where there are no samples, as much as two-fold cross-validation asks for. Gradient
+ * and curvature are in closed form, of the polynomial with all clouds collapsed. Generalised
+ * cross-validation of one fit: P. Craven, G. Wahba, "Smoothing noisy data with spline functions",
+ * 1979, 10.1007/BF01404567.
  *
  * Steps: (1) sort the samples by tetrahedron and evaluate the basis at all of them (fit_rows.c);
  * (2) assemble the equations, fold by fold; (3) with folds, go up a ladder of weights as long as
@@ -105,6 +106,74 @@ void gsn_fit_smooth_add(const struct gsn_fit_smooth *smooth, const struct gsn_te
         }
 }
 
+/* --- the curvature penalty --- */
+
+/* The coefficients of control point beta in the second derivatives of a tetrahedron's polynomial:
+ * n (n - 1) for each way to take two corners k <= l off beta, twice where they differ. rest: the
+ * corner that is left of degree 3. */
+struct second {
+    unsigned k, l, rest;
+    double ways;
+};
+enum { MOST_SECONDS = 3 };
+
+static size_t list_seconds(const uint8_t *beta, struct second *ret)
+{
+    size_t count = 0;
+
+    for (unsigned k = 0; k < 4; k++)
+        for (unsigned l = k; l < 4; l++) {
+            uint8_t left[4];
+
+            if (beta[k] < 1 + (k == l) || beta[l] < 1)
+                continue;
+            memcpy(left, beta, sizeof left);
+            left[k]--;
+            left[l]--;
+            ret[count] = (struct second){ .k = k, .l = l, .ways = k == l ? 1 : 2 };
+            for (unsigned c = 0; c < 4; c++)
+                if (left[c] > 0)
+                    ret[count].rest = c;
+            count++;
+        }
+    return count;
+}
+
+/* The mean over the tetrahedron of what is left of both, times the product of the second
+ * derivatives' tensors. */
+static double second_product(const struct second *a, const struct second *b, unsigned degree,
+                             double dot[4][4])
+{
+    const double tensors = a->ways * b->ways / 2 *
+                           (dot[a->k][b->k] * dot[a->l][b->l] + dot[a->k][b->l] * dot[a->l][b->k]);
+
+    return degree < 3 ? tensors : tensors * (a->rest == b->rest ? 2 : 1) / 20;
+}
+
+void gsn_fit_curvature_add(const struct gsn_dms *space, size_t tet, double weight, double *block)
+{
+    const struct gsn_tets *mesh = gsn_dms_mesh(space);
+    const unsigned degree = gsn_dms_degree(space);
+    const size_t functions = gsn_dms_functions(space);
+    const double n = degree, scale = weight * n * n * (n - 1) * (n - 1);
+    struct second term[GSN_DMS_MAX_FUNCTIONS][MOST_SECONDS];
+    size_t terms[GSN_DMS_MAX_FUNCTIONS];
+    double dot[4][4];
+
+    dot_gradients(mesh, tet, dot);
+    for (size_t f = 0; f < functions; f++)
+        terms[f] = list_seconds(gsn_dms_beta(space, f), term[f]);
+    for (size_t f = 0; f < functions; f++)
+        for (size_t g = f; g < functions; g++) {
+            double sum = 0;
+
+            for (size_t a = 0; a < terms[f]; a++)
+                for (size_t b = 0; b < terms[g]; b++)
+                    sum += second_product(&term[f][a], &term[g][b], degree, dot);
+            *block++ += scale * gsn_tets_volume(mesh, tet) * sum;
+        }
+}
+
 /* --- the fit --- */
 
 static const double TOLERANCE = 1e-8;
@@ -163,6 +232,28 @@ static int find_roughness(struct gsn_fit_rows *rows, struct gsn_error *err)
     return GSN_OK;
 }
 
+/* What the curvature of a tetrahedron without samples weighs beside the jumps; 1 would be what
+ * jumps across faces that cut it into linear pieces weigh. It has no jumps inside, and without this
+ * what it bends by is free: values there ran off to several times the data's range, and the solver
+ * took thousands of iterations to find out. */
+static const double CURVATURE = 0.1;
+
+/* h^2 int |grad grad s|^2 of each of those, h the edge of the regular one of its volume. */
+static int find_curvature(struct gsn_fit_rows *rows, struct gsn_error *err)
+{
+    const struct gsn_tets *mesh = gsn_dms_mesh(rows->space);
+
+    rows->curvature = gsn_alloc_array(mesh->tet_count, rows->packed * sizeof *rows->curvature);
+    if (!rows->curvature)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for the curvature penalty");
+    for (size_t t = 0; t < mesh->tet_count; t++)
+        if (!counts_there(rows, t))
+            gsn_fit_curvature_add(rows->space, t,
+                                  CURVATURE * pow(6 * sqrt(2) * gsn_tets_volume(mesh, t), 2.0 / 3),
+                                  rows->curvature + t * rows->packed);
+    return GSN_OK;
+}
+
 /* The equations of a fit, and what weighs their parts. */
 struct equations {
     struct gsn_fit_rows *rows;
@@ -187,6 +278,8 @@ static int equations_init(struct equations *eq, struct gsn_fit_rows *rows,
     *eq = (struct equations){ .rows = rows, .options = options, .unit = penalty_unit(rows) };
     if (r >= 0 && (options->fold || options->jump > 0))
         r = gsn_face_jumps_new(rows->space, &jumps, err);
+    if (r >= 0 && jumps)
+        r = find_curvature(rows, err);
     if (r >= 0)
         r = gsn_fit_system_assemble(&eq->system, rows, jumps, options->threads, err);
     return r < 0 ? r : gsn_fit_patches_new(rows->space, &eq->patches, err);

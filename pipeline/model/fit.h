@@ -7,10 +7,12 @@
  *
  *     sum (s(u_i) - f_i)^2 + d h^2 ( smoothing * integral |grad s|^2 + jump * P(s) ),
  *
- * P the jump of the gradient across faces (face_jump.h). The first penalty fills tetrahedra without
- * samples from those around them (a part of the mesh without any gets the mean of all samples) and
- * leaves the mean residual at 0; it is small. The second is what smooths: a spline of degree n >= 2
- * that has no jumps bends as it likes, so walls are not flattened as by the first.
+ * P the jump of the gradient across faces (face_jump.h), and in tetrahedra without samples a tenth
+ * of h^2 times the integral of the squared second derivatives, h that of the tetrahedron. The first
+ * penalty leads what has no samples to those around it (a part of the mesh without any gets the
+ * mean of all) and leaves the mean residual at 0; it is small. The second is what smooths: a spline
+ * of degree n >= 2 that has no jumps bends as it likes, so walls are not flattened as by the first,
+ * and where there are no samples the spline goes on straight.
  *
  * How much it smooths is found by cross-validation: samples of one fold are predicted by a fit to
  * those of the other, both ways. What repeats in both folds is signal: with alternate sections as

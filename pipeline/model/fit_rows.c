@@ -460,6 +460,7 @@ void gsn_fit_rows_done(struct gsn_fit_rows *rows)
         gsn_free(rows->right[k]);
     }
     gsn_free(rows->rough);
+    gsn_free(rows->curvature);
     gsn_free(rows->seam_first);
     gsn_free(rows->seam_sample);
     gsn_free(rows->seam_target);

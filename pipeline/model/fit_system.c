@@ -31,7 +31,7 @@ struct users {
     size_t *at;
 };
 
-/* What the matrix is made of: two folds, roughness, and jumps across faces. */
+/* What the matrix is made of: two folds, roughness, and jumps with some curvature. */
 enum { PARTS = 4, ROUGH = 2, JUMP = 3 };
 
 /* The matrix rows of one task, before they are joined. */
@@ -139,6 +139,8 @@ static void row_sum(const struct assembly *work, size_t i, struct row *row)
             for (size_t fold = 0; fold < rows->folds; fold++)
                 sum[fold] += rows->block[fold][at];
             sum[ROUGH] += rows->rough[at];
+            if (rows->curvature)
+                sum[JUMP] += rows->curvature[at];
         }
     }
     for (size_t p = work->terms.first[i]; p < work->terms.first[i + 1]; p++) {

@@ -34,8 +34,9 @@ struct gsn_fit_rows {
     size_t packed;    /* entries of a block: f <= g, row by row */
     double *block[2]; /* of a fold, per tetrahedron: sum w N_f N_g over its core samples */
     double *right[2]; /* and function: sum w N_f (value - mean) */
-    double *rough;  /* per tetrahedron: integral of grad N_f . grad N_g, in um; filled by the fit */
-    double mass[2]; /* the weights of a fold's samples: their number when all are 1 */
+    double *rough; /* per tetrahedron: integral of grad N_f . grad N_g, in um; filled by the fit */
+    double *curvature; /* and what is added to the jumps, likewise; NULL: nothing */
+    double mass[2];    /* the weights of a fold's samples: their number when all are 1 */
     double squares[2]; /* sum of w times their targets' squares */
 
     size_t seams;          /* rows */
@@ -91,6 +92,10 @@ void gsn_fit_smooth_init(struct gsn_fit_smooth *smooth, const struct gsn_dms *sp
 void gsn_fit_smooth_add(const struct gsn_fit_smooth *smooth, const struct gsn_tets *mesh,
                         size_t tet, double weight, double *block);
 
+/* Adds weight * integral of the product, entry by entry, of the second derivatives of N_f and N_g
+ * over tetrahedron tet to such a block. weight in um. */
+void gsn_fit_curvature_add(const struct gsn_dms *space, size_t tet, double weight, double *block);
+
 /* Compressed rows, all of the matrix: row i has the entries first[i] .. first[i + 1], their columns
  * ascending. value and right are what gsn_fit_system_combine() made of the parts. */
 struct gsn_fit_system {
@@ -105,8 +110,8 @@ struct gsn_fit_system {
     double *fold_right[2];
 };
 
-/* Sums blocks and seam rows, fold by fold, the roughness, and G' G of the jumps unless that is
- * NULL. Fails with GSN_E_NOMEM; end with gsn_fit_system_done() in either case. */
+/* Sums blocks and seam rows, fold by fold, the roughness, and, unless jumps is NULL, their G' G
+ * with the curvature. Fails with GSN_E_NOMEM; end with gsn_fit_system_done() in either case. */
 int gsn_fit_system_assemble(struct gsn_fit_system *system, const struct gsn_fit_rows *rows,
                             const struct gsn_face_jumps *jumps, unsigned threads,
                             struct gsn_error *err);

@@ -106,6 +106,7 @@ void bench_kernel(void);
 void bench_points(void);
 void bench_locate(void);
 void bench_mean(void);
+void bench_fit(void);
 void bench_space(void);
 void bench_log(void);
 void bench_log_slices(void);

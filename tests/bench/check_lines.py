@@ -15,7 +15,7 @@ EXPECTED = {"machine_peak": 1, "machine_triad": 1, "plain": 9, "memoised": 3, "r
             "resample_agreement": 3, "resample_threads": 3, "resample_slope": 3, "vtk": 1,
             "rays_linear": 3, "rays_projected": 1, "rays_projected_xray": 1, "rays_xray": 1, "rays_light": 1, "rays_threads": 1, "rays_slope": 1,
             "kernel": 1, "eval_one_by_one": 6, "eval_many": 6, "locate": 2, "mean": 3, "memory": 3,
-            "make_space": 3, "make_spline": 3,
+            "make_space": 3, "make_spline": 3, "fit_assembly": 6, "fit": 6, "fit_slope": 2,
             "ingest_log": 3, "slice_log": 2, "ingest_hash": 1, "ingest_total": 1,
             "decode": 10, "decode_imread": 10, "panel_split": 1, "panel_chain": 1,
              "panel_density": 1, "panel_masks": 1}

@@ -27,6 +27,7 @@ static const struct {
     { "locate", bench_locate, "which tetrahedron holds a point" },
     { "mean", bench_mean, "exact means over tetrahedra" },
     { "space", bench_space, "making a space and a spline, and their memory" },
+    { "fit", bench_fit, "a fit to 128^3 voxels, its equations against one resampling of them" },
     { "log", bench_log, "a scan's rows, in this folder, against one bare INSERT" },
     { "slices", bench_log_slices, "a panel's slices, in this folder, against bare INSERTs" },
     { "spool", bench_spool, "a picture's bytes, in this folder: hash, copy and sync" },

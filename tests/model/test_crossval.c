@@ -180,7 +180,7 @@ TEST(the_weight_follows_the_noise)
     double before = 0;
 
     for (unsigned k = 0; k < 3; k++) {
-        static const double SIGMA[3] = { 0.001, 0.05, 1 };
+        static const double SIGMA[3] = { 0.001, 0.2, 1 };
         struct shape_samples grid = shape_grid(0, 80, GRID, wave);
         gsn_auto_mem(uint8_t) fold = folds(&grid.samples);
         const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING,

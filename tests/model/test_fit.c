@@ -287,6 +287,38 @@ TEST(where_nothing_was_measured_the_field_stays_in_range)
     shape_samples_done(&grid);
 }
 
+static int beyond(const double u[3])
+{
+    return u[0] > 40;
+}
+
+/* What noise bends by at the samples' edge is not what 80 um beyond it are made of. */
+TEST(beyond_the_samples_a_slope_goes_on_straight)
+{
+    struct shape_samples grid = shape_grid(0, 80, GRID, linear);
+    gsn_auto(gsn_dms) space = shape_space(2, 0.02, 20000);
+    const struct gsn_fit_options options = { .smoothing = GSN_FIT_SMOOTHING, .jump = 0.5 };
+    struct gsn_fit_report report;
+    gsn_auto(gsn_spline) spline = NULL;
+    uint64_t dice = 3;
+    double most = 0;
+
+    drop(&grid, beyond);
+    for (size_t i = 0; i < grid.samples.count; i++)
+        grid.value[i] += (float)(2 * shape_normal(&dice));
+    spline = fitted(space, &grid.samples, &options, &report);
+    for (double x = 45; x < 120; x += 5)
+        for (double y = 5; y < 80; y += 15)
+            for (double z = 5; z < 80; z += 15) {
+                const double u[3] = { x, y, z };
+
+                most = fmax(most, fabs(at(spline, u) - linear(u)));
+            }
+    print_message("  %.2f off beyond, %u iterations\n", most, report.iterations);
+    CHECK(most < 0.5);
+    shape_samples_done(&grid);
+}
+
 static int two_blocks(size_t x, size_t y, size_t z)
 {
     (void)y;

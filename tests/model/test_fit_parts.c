@@ -95,6 +95,58 @@ TEST(the_penalty_of_a_polynomial_is_the_integral_of_its_squared_gradient)
     }
 }
 
+static double bending(const struct gsn_dms *space, const double *c, double weight)
+{
+    const size_t functions = gsn_dms_functions(space);
+    double block[GSN_DMS_MAX_FUNCTIONS * (GSN_DMS_MAX_FUNCTIONS + 1) / 2] = { 0 }, sum = 0;
+    size_t at = 0;
+
+    gsn_fit_curvature_add(space, 0, weight, block);
+    for (size_t f = 0; f < functions; f++)
+        for (size_t g = f; g < functions; g++)
+            sum += (f == g ? 1 : 2) * c[f] * c[g] * block[at++];
+    return sum;
+}
+
+/* Of (a.u)^2 all second derivatives are 2 a a', and of (a.u)^3 they are 6 (a.u) a a', by the mean
+ * of (a.u)^2 as above. */
+TEST(the_curvature_of_a_polynomial_is_the_integral_of_its_squared_second_derivatives)
+{
+    const double a[3] = { 0.3, -1.2, 0.7 };
+    const double square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
+
+    for (unsigned degree = 1; degree <= 3; degree++) {
+        gsn_auto(gsn_dms) space = one_tet(degree);
+        const struct gsn_tets *mesh = gsn_dms_mesh(space);
+        const double volume = gsn_tets_volume(mesh, 0);
+        double linear[GSN_DMS_MAX_FUNCTIONS], quadratic[GSN_DMS_MAX_FUNCTIONS],
+            cubic[GSN_DMS_MAX_FUNCTIONS], at[4], sum = 0, squares = 0;
+
+        for (size_t k = 0; k < 4; k++) {
+            const double *v = mesh->vertex[mesh->tet[0][k]];
+
+            at[k] = a[0] * v[0] + a[1] * v[1] + a[2] * v[2];
+            sum += at[k];
+            squares += at[k] * at[k];
+        }
+        for (size_t f = 0; f < gsn_dms_functions(space); f++) {
+            const uint8_t *beta = gsn_dms_beta(space, f);
+
+            linear[f] = bernstein(mesh, beta, degree, a, 1);
+            quadratic[f] = degree > 1 ? bernstein(mesh, beta, degree, a, 2) : 0;
+            cubic[f] = 1;
+            for (size_t k = 0; k < 4; k++)
+                cubic[f] *= pow(at[k], beta[k]);
+        }
+        CHECK_NEAR(bending(space, linear, 2), 0, 1e-9);
+        if (degree > 1)
+            CHECK_NEAR(bending(space, quadratic, 2), 2 * 4 * square * square * volume, 1e-8);
+        if (degree > 2)
+            CHECK_NEAR(bending(space, cubic, 2),
+                       2 * 36 * square * square * volume * (sum * sum + squares) / 20, 1e-7);
+    }
+}
+
 /* The matrix and right hand side, each entry from gsn_dms_basis() at every sample. */
 static void dense_equations(const struct gsn_dms *space, const struct shape_samples *grid,
                             const uint8_t *fold, const double weight[2], double mean,

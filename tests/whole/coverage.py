@@ -14,6 +14,7 @@ other blocks, marks and layouts, and an operator's mistakes. Panels in a folder,
     coverage.py BIN marks [--px 4 10.58 24] [--radius 20 40 75 150 300]
     coverage.py BIN decoys [--decoys 0 10 20 40 60]
     coverage.py BIN unmarked      a specimen without marks
+    coverage.py BIN tre           the error that is predicted over the region, on three other blocks
     coverage.py BIN frame         what a black frame around the panel costs
 
 Common: --px UM (24), --threads N specimens at a time, --seed N, --keep DIR. Exit 0: nothing that was
@@ -37,6 +38,7 @@ import tempfile
 VARIANTS = pathlib.Path(__file__).resolve().parents[1] / "cases" / "variants"
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "phantom"))
 import recompute_loss  # noqa: E402  (the phantom's block, written a second time)
+import registration  # noqa: E402
 
 TURNS = (0, 2, 5, 10)
 # The middle 95 % of a normal distribution end so many standard errors from its middle.
@@ -423,6 +425,43 @@ def unmarked(folder, args):
     return 1 if total else 0
 
 
+# Blocks whose region lies beside the middle of their marks, and how far 95 % of errors reach that
+# are normal and alike in both directions, by their root mean square.
+TRE_BLOCKS = ("geometry-07-slanting-root", "geometry-08-round-block", "geometry-09-square-block")
+REACH_95 = math.sqrt(5.991 / 2)
+
+
+def tre(folder, args):
+    """Sections bend as at L2. Of each section that is used with its three marks the pose is held
+    against the truth at points of the region 120 um apart."""
+    def one(name):
+        place = Bench(args.bin, folder / name)
+        variant = json.loads((VARIANTS / f"{name}.json").read_text())
+        made = place.phantom("S00", "L2", args.seed, args.px[0], variant)
+        place.work(made)
+        truth = registration.Truth(made / "truth")
+        held = []
+        for section in place.report("S00")["sections"]:
+            k = section["serial"]
+            if section["state"] != "used" or k not in truth.section or not truth.whole(k) or \
+                    len(truth.visible(k)) < 3:
+                continue
+            where, predicted = registration.pose_map(section), section["predicted_tre_um"]
+            off = [math.hypot(u - x, v - y) for x, y, px, py in truth.places(k)
+                   for u, v in [where(px, py)]]
+            held += [(distance, predicted) for distance in off]
+        share = sum(distance <= REACH_95 * predicted for distance, predicted in held) / len(held)
+        ratio = math.sqrt(sum(d * d for d, _ in held) / sum(p * p for _, p in held))
+        print(f"{name}: of {len(held)} points {100 * share:.1f} % lie within the 95 % that are "
+              f"predicted; errors are {ratio:.2f} of what is predicted", flush=True)
+        return held
+
+    held = [pair for pairs in at_once(args.threads, one, TRE_BLOCKS) for pair in pairs]
+    share = sum(distance <= REACH_95 * predicted for distance, predicted in held) / len(held)
+    print(f"together {100 * share:.1f} %")
+    return 0 if 0.92 <= share <= 0.98 else 1
+
+
 def frame(folder, args):
     """Processor time of the queue's work, the least of three runs of each."""
     least, used = {}, {}
@@ -442,7 +481,7 @@ def frame(folder, args):
 
 
 PARTS = {"colour": colour, "mistakes": mistakes, "marks": marks, "decoys": decoys,
-         "unmarked": unmarked, "frame": frame}
+         "unmarked": unmarked, "tre": tre, "frame": frame}
 
 
 def main():

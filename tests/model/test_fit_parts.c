@@ -47,19 +47,27 @@ static double bernstein(const struct gsn_tets *mesh, const uint8_t *beta, unsign
     return power == 1 ? sum / degree : 2 * pairs / (degree * (degree - 1.0));
 }
 
-static double energy(const struct gsn_dms *space, const double *c, double weight)
+/* c' A c, of A the entries f <= g row by row. */
+static double squares_of(const struct gsn_dms *space, const double *block, const double *c)
 {
     const size_t functions = gsn_dms_functions(space);
-    double block[GSN_DMS_MAX_FUNCTIONS * (GSN_DMS_MAX_FUNCTIONS + 1) / 2] = { 0 }, sum = 0;
-    struct gsn_fit_smooth smooth;
+    double sum = 0;
     size_t at = 0;
 
-    gsn_fit_smooth_init(&smooth, space);
-    gsn_fit_smooth_add(&smooth, gsn_dms_mesh(space), 0, weight, block);
     for (size_t f = 0; f < functions; f++)
         for (size_t g = f; g < functions; g++)
             sum += (f == g ? 1 : 2) * c[f] * c[g] * block[at++];
     return sum;
+}
+
+static double energy(const struct gsn_dms *space, const double *c, double weight)
+{
+    double block[GSN_DMS_MAX_FUNCTIONS * (GSN_DMS_MAX_FUNCTIONS + 1) / 2] = { 0 };
+    struct gsn_fit_smooth smooth;
+
+    gsn_fit_smooth_init(&smooth, space);
+    gsn_fit_smooth_add(&smooth, gsn_dms_mesh(space), 0, weight, block);
+    return squares_of(space, block, c);
 }
 
 TEST(the_penalty_of_a_polynomial_is_the_integral_of_its_squared_gradient)
@@ -97,15 +105,10 @@ TEST(the_penalty_of_a_polynomial_is_the_integral_of_its_squared_gradient)
 
 static double bending(const struct gsn_dms *space, const double *c, double weight)
 {
-    const size_t functions = gsn_dms_functions(space);
-    double block[GSN_DMS_MAX_FUNCTIONS * (GSN_DMS_MAX_FUNCTIONS + 1) / 2] = { 0 }, sum = 0;
-    size_t at = 0;
+    double block[GSN_DMS_MAX_FUNCTIONS * (GSN_DMS_MAX_FUNCTIONS + 1) / 2] = { 0 };
 
     gsn_fit_curvature_add(space, 0, weight, block);
-    for (size_t f = 0; f < functions; f++)
-        for (size_t g = f; g < functions; g++)
-            sum += (f == g ? 1 : 2) * c[f] * c[g] * block[at++];
-    return sum;
+    return squares_of(space, block, c);
 }
 
 /* Of (a.u)^2 all second derivatives are 2 a a', and of (a.u)^3 they are 6 (a.u) a a', by the mean

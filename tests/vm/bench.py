@@ -3,7 +3,7 @@
 """The virtual bench: gieson installed on Debian's own kernel under systemd, with scanners and cameras
 plugged into it, in software. Needs qemu-system-x86 and the kernel's package; no root, no KVM.
 
-    bench.py BUILD --short           plug and unplug: what CI asks
+    bench.py BUILD --short           plug and unplug
     bench.py BUILD --all             every scenario
     bench.py BUILD NAME...           these scenarios; --list names them
       --cuts N     power cuts of "power" (10)

@@ -41,7 +41,8 @@ static void draw_marks(struct gsn_pose_input *input, const struct mounted *m,
         const double way = draw_uniform(chance, 0, M_PI), c = cos(way), s = sin(way);
         const double along = poor * w->fit_um / MOUNTED_PX * draw_normal(chance);
         const double across = w->fit_um / MOUNTED_PX * draw_normal(chance);
-        const double said = w->fit_um / MOUNTED_PX / fmax(w->modest, 1);
+        const double luck = w->erratic > 0 ? exp(w->erratic * draw_normal(chance)) : 1;
+        const double said = luck * w->fit_um / MOUNTED_PX / fmax(w->modest, 1);
         const double va = pow(poor * said, 2), vb = pow(said, 2);
         const struct gsn_point um = { w->marks[i].x + input->serial * w->slope[i].x,
                                       w->marks[i].y + input->serial * w->slope[i].y };

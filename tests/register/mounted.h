@@ -30,6 +30,7 @@ struct mounted_world {
     double fit_um;       /* of the typical mark, told by its covariance */
     double unequal;      /* share of marks whose fit is 4 times poorer along a random direction */
     double modest;       /* the fits say this many times too little, where it is more than 1 */
+    double erratic;      /* what a fit says is right but for chance, of this sd in its logarithm */
     double strain_sd[3];
     int heavy; /* strain with Student's t, 3 degrees of freedom, same scale */
     struct gsn_point slope[GSN_FIDUCIALS]; /* um per section */

@@ -405,7 +405,7 @@ int gsn_contour_estimate(struct gsn_contour *fit)
         move_origin(fit);
     }
     sort_pixels(fit);
-    fit->lobes = fit->radius >= 8 ? ORDERS : fit->radius >= 5 ? 2 : 1;
+    fit->lobes = fit->radius >= 5 ? ORDERS : 1;
     for (size_t k = 0; k < fit->sectors; k++)
         fit->sector[k].weight = 1;
     bend_outline(fit);

@@ -316,6 +316,8 @@ static int solve_stack(struct gsn_procrustes *s, struct gsn_error *err)
         r = gsn_shape_prior_learn(s, err);
     if (r >= 0 && (s->axes.slanted || s->axes.bent || (s->sizes && s->stretches)))
         gsn_procrustes_align(s, gsn_procrustes_acceptable(s));
+    if (r >= 0)
+        gsn_procrustes_learn_alike(s);
     return r;
 }
 

@@ -7,9 +7,10 @@
  * Steps of gsn_procrustes_fit(). 1. Every section is aligned with the triangle, upright or
  * mirrored, and, once the noise is known, under other numberings where its own does not fit. 2. The
  * variance of a mark follows from what is left, and which sections are inliers. 3. The triangle
- * moves to the inliers' weighted mean, until it rests. 4. From 12 sections on it is tried how much
- * of the variance beyond what the marks' own fits say grows with these (Akaike's criterion).
- * gsn_procrustes_initialise() begins with the medoid: the section most like the others.
+ * moves to the inliers' weighted mean, until it rests. gsn_procrustes_initialise() begins with the
+ * medoid: the section most like the others. gsn_procrustes_learn_alike() ends it: which part of a
+ * mark's variance is every mark's alike, and which grows with what its own fit says, by the
+ * likelihood of the residuals (Akaike's criterion).
  *
  * Cannot fail; a section without a motion has infinite squares. Cost: at most 100 rounds of 2
  * closed-form fits a section. */
@@ -271,20 +272,17 @@ static double rounding_um2(const struct gsn_procrustes *s)
     return s->finest * pow(ROUNDING_PX / FINEST_PX, 2);
 }
 
-/* The median mark's variance is what the residuals say. Where that is more than its fit says, the
- * rest is every mark's alike (the burn's own shape), or larger where the fit is poorer (texture of
- * the tissue that the fit took for noise), or some of either; where it is less, the fits
- * exaggerate. */
+/* The median mark's variance is what the residuals say. A part of it is every mark's alike (the
+ * burn's own shape), the rest in proportion to what each mark's fit says. Unless the stack tells
+ * the parts, what is alike is what the median mark has more than its fit says; where it has less,
+ * the fits exaggerate. */
 double gsn_procrustes_excess(const struct gsn_procrustes *s, double *ret_scale)
 {
-    const double more = fmax(s->mark_um2 - s->fit_um2, 0);
+    const double alike =
+        s->alike < 0 ? fmax(1 - s->fit_um2 / fmax(s->mark_um2, 1e-300), 0) : s->alike;
 
-    *ret_scale = 1;
-    if (s->mark_um2 < s->fit_um2)
-        *ret_scale = s->mark_um2 / s->fit_um2;
-    else if (s->fit_um2 > 0)
-        *ret_scale = 1 + s->follows * more / s->fit_um2;
-    return (1 - s->follows) * more + rounding_um2(s);
+    *ret_scale = s->fit_um2 > 0 ? (1 - alike) * s->mark_um2 / s->fit_um2 : 1;
+    return alike * s->mark_um2 + rounding_um2(s);
 }
 
 static void weigh_marks(struct gsn_procrustes *s)
@@ -484,68 +482,63 @@ static void iterate_procrustes(struct gsn_procrustes *s)
     estimate_noise(s);
 }
 
-/* Twice the negative logarithm of the residuals' likelihood, what the motions take of them left
- * out; a gross section counts as one that is just not. */
-static double find_deviance(const struct gsn_procrustes *s)
+void gsn_procrustes_fit(struct gsn_procrustes *s)
 {
-    double sum = 0;
+    s->alike = -1;
+    iterate_procrustes(s);
+}
+
+/* ---- what marks have alike ------------------------------------------------------------------- */
+
+/* Twice the negative logarithm of the residuals' likelihood, what the motions take of them left
+ * out; a gross section counts as one that is just not. ret_mean: of chi-squared of the others. */
+static double find_deviance(const struct gsn_procrustes *s, double *ret_mean)
+{
+    double deviance = 0, sum = 0, n = 0;
 
     for (size_t i = 0; i < s->count; i++) {
         const struct gsn_procrustes_member *m = &s->member[i];
-        double weight[GSN_FIDUCIALS], all = 0, turn = 0, x = 0, y = 0;
+        struct gsn_pose_fit_input marks;
+        struct gsn_pose_fit fit;
 
         if (m->marks != GSN_FIDUCIALS || !isfinite(m->squares))
             continue;
-        for (int k = 0; k < GSN_FIDUCIALS; k++) {
-            weight[k] = 1 / m->variance[m->order[k]];
-            all += weight[k];
-            x += weight[k] * m->onto[k].x;
-            y += weight[k] * m->onto[k].y;
-            sum -= 2 * log(weight[k]);
+        (void)gsn_procrustes_observation(s, m, &marks);
+        if (gsn_pose_fit(&marks, &fit, NULL) < 0)
+            continue;
+        deviance += fit.log_det + fmin(fit.chi2, GSN_POSE_CHI2_GROSS);
+        if (fit.chi2 < GSN_POSE_CHI2_GROSS) {
+            sum += fit.chi2;
+            n += 1;
         }
-        for (int k = 0; k < GSN_FIDUCIALS; k++)
-            turn += weight[k] * (pow(m->onto[k].x - x / all, 2) + pow(m->onto[k].y - y / all, 2));
-        sum += 2 * log(all) + log(turn) + fmin(m->squares, GSN_POSE_CHI2_GROSS);
     }
-    return sum;
+    *ret_mean = n > 0 ? sum / n : CHI2_MEAN_BELOW;
+    return deviance;
 }
 
-/* Tries how much of the excess goes with the fits' own variances: never all, as no mark is exact
- * because its fit says so. It is none unless the residuals are likelier for it than one more
- * unknown makes them by chance (Akaike's 2). */
-static void learn_follows(struct gsn_procrustes *s)
+void gsn_procrustes_learn_alike(struct gsn_procrustes *s)
 {
-    const double none = s->mark_um2;
-    double least = INFINITY, best = 0, best_um2 = none;
+    double mean, least, best = s->alike, best_um2 = s->mark_um2;
 
-    for (int k = 0; k < SHARES; k++) {
-        double unlikely;
+    if (s->with_three < GSN_ROBUST_COVARIANCE_MIN || s->fit_um2 <= rounding_um2(s))
+        return;
+    least = find_deviance(s, &mean) - 2;
+    for (int k = 1; k <= SHARES; k++) {
+        double deviance;
 
-        s->follows = (double)k / SHARES;
-        for (int round = 0; k > 0 && round < RELAXING; round++) {
-            weigh_marks(s);
-            gsn_procrustes_align(s, gsn_procrustes_acceptable(s));
-            estimate_noise(s);
+        s->alike = (double)k / SHARES;
+        for (int round = 0; round < RELAXING; round++) {
+            (void)find_deviance(s, &mean);
+            s->mark_um2 = fmax(s->mark_um2 * mean / CHI2_MEAN_BELOW, rounding_um2(s));
         }
-        unlikely = find_deviance(s) + (k > 0 ? 2 : 0);
-        if (unlikely < least) {
-            least = unlikely;
-            best = s->follows;
+        deviance = find_deviance(s, &mean);
+        if (deviance < least) {
+            least = deviance;
+            best = s->alike;
             best_um2 = s->mark_um2;
         }
     }
-    s->follows = best;
+    s->alike = best;
     s->mark_um2 = best_um2;
     weigh_marks(s);
-}
-
-void gsn_procrustes_fit(struct gsn_procrustes *s)
-{
-    s->follows = 0;
-    iterate_procrustes(s);
-    if (s->with_three < GSN_ROBUST_COVARIANCE_MIN || s->mark_um2 <= s->fit_um2 ||
-        s->fit_um2 <= rounding_um2(s))
-        return;
-    learn_follows(s);
-    iterate_procrustes(s);
 }

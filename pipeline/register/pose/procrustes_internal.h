@@ -35,8 +35,8 @@ struct gsn_procrustes {
     struct gsn_point triangle[GSN_FIDUCIALS];
     double mark_um2; /* variance per axis of the median mark; with strain in it until learnt */
     double fit_um2;  /* the same by the fits' own account */
-    double follows;  /* share of what is more than that account which grows with each mark's own */
-    double finest;   /* variance below which no test calls anything gross, um^2 */
+    double alike;  /* share of mark_um2 that is every mark's; below 0: what is more than fit_um2 */
+    double finest; /* variance below which no test calls anything gross, um^2 */
     double scalene_sigma;
     int flips_told;
     const struct gsn_point *declared; /* the protocol's triangle, or NULL */
@@ -74,6 +74,11 @@ void gsn_procrustes_initialise(struct gsn_procrustes *s);
 /* Adds the sections: counts their marks, and takes over what their fits say of them. */
 void gsn_procrustes_add_observations(struct gsn_procrustes *s, const struct gsn_pose_input *inputs);
 void gsn_procrustes_fit(struct gsn_procrustes *s);
+/* Once the strain is learnt: tries how much of a mark's variance is every mark's alike; never none,
+ * as no mark is exact because its fit says so. It is left open with fewer than 12 sections, and
+ * unless the residuals are likelier for it than one more unknown makes them by chance (Akaike's 2).
+ */
+void gsn_procrustes_learn_alike(struct gsn_procrustes *s);
 double gsn_procrustes_acceptable(const struct gsn_procrustes *s);
 /* What is added to the fits' own variance, and what that is multiplied by. */
 double gsn_procrustes_excess(const struct gsn_procrustes *s, double *ret_scale);

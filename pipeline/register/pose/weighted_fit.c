@@ -184,6 +184,21 @@ static void whiten_residuals(const struct system *s, double q[COORDS][COORDS], c
     }
 }
 
+/* The logarithm of a covariance's determinant. */
+static double find_log_det(const double *m, size_t n, size_t stride)
+{
+    double lower[COORDS][COORDS], sum = 0;
+
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++)
+            lower[i][j] = m[i * stride + j];
+    if (gsn_cholesky(&lower[0][0], n, COORDS) < 0)
+        return INFINITY;
+    for (size_t i = 0; i < n; i++)
+        sum += 2 * log(lower[i][i]);
+    return sum;
+}
+
 /* W y, and the part of W that is left after the pose: Q = W - W J gain. */
 static void judge_residuals(const struct system *s, const double *y, size_t marks,
                             struct gsn_pose_fit *fit)
@@ -191,6 +206,8 @@ static void judge_residuals(const struct system *s, const double *y, size_t mark
     double wy[COORDS] = { 0 }, q[COORDS][COORDS], wj[COORDS][3] = { 0 };
 
     fit->chi2 = 0;
+    fit->log_det =
+        -find_log_det(&s->weight[0][0], s->n, COORDS) - find_log_det(&s->pose[0][0], 3, 3);
     for (size_t a = 0; a < s->n; a++) {
         for (size_t b = 0; b < s->n; b++) {
             wy[a] += s->weight[a][b] * y[b];

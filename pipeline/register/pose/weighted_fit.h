@@ -27,6 +27,7 @@ struct gsn_pose_fit_input {
 struct gsn_pose_fit {
     struct gsn_rigid motion;
     double chi2;                 /* 2 count - 3 degrees of freedom */
+    double log_det;              /* of the residuals' covariance, but for what the triangle adds */
     double blame[GSN_FIDUCIALS]; /* how much of chi2 goes when that mark may lie anywhere */
     /* With three marks: the residuals as three numbers, independent and standard normal where no
      * mark is wrong, and what a mark adds to them that is off by its standard deviation along

@@ -89,18 +89,21 @@ TEST(sections_that_differ_in_size_are_laid_with_their_size)
     static const double sizes[] = { 0, 0.005, 0.02, 0.05 };
     const struct gsn_pose_options options = { .markers_um = mounted_marks, .sizes = 1 };
 
-    for (size_t k = 0; k < sizeof sizes / sizeof *sizes; k++) {
+    for (size_t k = 0; k < 2 * (sizeof sizes / sizeof *sizes); k++) {
+        const int erratic = k % 2 == 1;
         const struct mounted_world world = { .marks = mounted_marks,
                                              .angle = 3,
                                              .flips = 0.1,
-                                             .burn_um = 3,
+                                             .burn_um = erratic ? 0 : 3,
                                              .fit_um = 2,
-                                             .strain_sd = { sizes[k], 0, 0 } };
+                                             .erratic = erratic ? 0.6 : 0,
+                                             .strain_sd = { sizes[k / 2], 0, 0 } };
         const struct outcome o = outcome_with(&world, &options, mounted_trials(6000), 11 + k);
 
-        print_message("  sizes by %.1f %%: rigid %.2f um, with their size %.2f, predicted %.2f, "
+        print_message("  sizes by %.1f %%%s: rigid %.2f um, with their size %.2f, predicted %.2f, "
                       "ellipse holds %.1f %%\n",
-                      100 * sizes[k], o.rigid, o.corrected, o.predicted, 100 * o.covered);
+                      100 * sizes[k / 2], erratic ? ", fits whose word is chance" : "", o.rigid,
+                      o.corrected, o.predicted, 100 * o.covered);
         CHECK(o.covered > 0.93 && o.covered < 0.97);
         CHECK_NEAR(o.predicted, o.corrected, 0.08 * o.corrected);
     }

@@ -159,6 +159,19 @@ TEST(fits_that_all_say_too_little_are_found_out_by_the_stack)
           pow(1.03, 2) * right.squares / (double)right.sections);
 }
 
+/* What fits of marks of three pixels say differs by more than the marks do. */
+TEST(fits_whose_word_is_chance_are_found_out_by_the_stack)
+{
+    struct mounted_world world = EVEN;
+    struct score s;
+
+    world.burn_um = 0;
+    world.fit_um = 6;
+    world.erratic = 0.6;
+    s = simulate(&world, 60, mounted_trials(8000), TARGET, 33, 0);
+    check_calibrated("fits whose word is chance", &s);
+}
+
 /* Case 20. */
 TEST(two_marks_are_calibrated_with_a_larger_error)
 {

@@ -122,7 +122,7 @@ void shape_samples_done(struct shape_samples *samples)
 }
 
 /* splitmix64, by Steele, Lea and Flood. */
-static double uniform(uint64_t *state)
+double shape_uniform(uint64_t *state)
 {
     uint64_t z = *state += 0x9E3779B97F4A7C15u;
 
@@ -133,7 +133,7 @@ static double uniform(uint64_t *state)
 
 double shape_normal(uint64_t *state)
 {
-    const double radius = sqrt(-2 * log(uniform(state)));
+    const double radius = sqrt(-2 * log(shape_uniform(state)));
 
-    return radius * cos(2 * M_PI * uniform(state));
+    return radius * cos(2 * M_PI * shape_uniform(state));
 }

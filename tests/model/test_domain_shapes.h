@@ -38,7 +38,8 @@ struct shape_samples {
 struct shape_samples shape_grid(double low, double high, size_t n, double (*f)(const double u[3]));
 void shape_samples_done(struct shape_samples *samples);
 
-/* Standard normal numbers, the same ones for the same state. */
+/* Numbers from 0 to 1, ends excluded, and standard normal ones, the same ones for the same state. */
+double shape_uniform(uint64_t *state);
 double shape_normal(uint64_t *state);
 
 #endif

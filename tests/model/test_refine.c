@@ -49,17 +49,25 @@ static struct gsn_adapt_options options_with(double tolerance, unsigned rounds)
                                        .rounds = rounds };
 }
 
-static int adapt(double (*f)(const double u[3]), const struct gsn_adapt_options *options,
-                 struct result *ret, struct gsn_error *err)
+/* Of n^3 samples in a box of 80 um, on a mesh of such cells. */
+static int adapt_on(double (*f)(const double u[3]), size_t n, double cell_um,
+                    const struct gsn_adapt_options *options, struct result *ret,
+                    struct gsn_error *err)
 {
     gsn_auto(gsn_mask) region = shape_mask(8, 8, 8, 10, 10, 10, shape_everywhere);
-    gsn_auto(gsn_tets) mesh = shape_mesh(region, 40, 30000);
-    struct shape_samples grid = shape_grid(0, 80, GRID, f);
+    gsn_auto(gsn_tets) mesh = shape_mesh(region, cell_um, 30000);
+    struct shape_samples grid = shape_grid(0, 80, n, f);
     const int r =
         gsn_adapt(mesh, &grid.samples, options, &ret->space, &ret->spline, &ret->report, err);
 
     shape_samples_done(&grid);
     return r;
+}
+
+static int adapt(double (*f)(const double u[3]), const struct gsn_adapt_options *options,
+                 struct result *ret, struct gsn_error *err)
+{
+    return adapt_on(f, GRID, 40, options, ret, err);
 }
 
 static struct result adapted(double (*f)(const double u[3]),
@@ -150,6 +158,70 @@ TEST(a_sharp_ball_is_followed_better_after_refinement)
     CHECK((double)result.report.fit.unknowns <= GRID * GRID * GRID / 3.0);
     CHECK(gsn_dms_controls(result.space) == result.report.fit.unknowns);
     result_done(&result);
+}
+
+/* A hump, smooth to all orders. */
+static double smooth(const double u[3])
+{
+    const double x = u[0] - 41, y = u[1] - 39, z = u[2] - 40;
+
+    return exp(-(x * x + y * y + z * z) / (2 * 16 * 16));
+}
+
+/* Root mean square error over points between the samples. */
+static double error_between(const struct result *result, double (*f)(const double u[3]))
+{
+    const int count = 4000;
+    uint64_t dice = 7;
+    size_t hint = 0;
+    double squares = 0;
+
+    for (int i = 0; i < count; i++) {
+        double u[3], value;
+
+        for (size_t k = 0; k < 3; k++)
+            u[k] = 2 + 76 * shape_uniform(&dice);
+        CHECK(gsn_spline_eval(result->spline, u, &hint, &value, NULL) == GSN_OK);
+        squares += pow(value - f(u), 2);
+    }
+    return sqrt(squares / count);
+}
+
+/* Cubic, by refinement where the fit is poor; GIESON_EPSILON: a finer tolerance, too. */
+TEST(every_tetrahedron_of_a_smooth_field_comes_within_the_tolerance)
+{
+    const char *finer = getenv("GIESON_EPSILON");
+    const double tolerance[] = { 1e-2, 1e-3, finer ? atof(finer) : 1e-3 };
+    double last_error = 0, last_unknowns = 0;
+
+    for (size_t k = 0; k < (finer ? 3 : 2); k++) {
+        struct gsn_adapt_options options = options_with(tolerance[k], 8);
+        struct gsn_error err = { 0 };
+        struct result result;
+        double error;
+
+        options.degree = 3;
+        options.fit.smoothing = 1e-8;
+        options.samples_per_unknown = 1.5;
+        options.samples_per_tet = 4;
+        CHECK_OK(adapt_on(smooth, k < 2 ? 40 : 56, 20, &options, &result, &err), err);
+        error = error_between(&result, smooth);
+        print_message("  %g: %zu rounds, %zu tetrahedra, %zu unknowns, rms %.2e, between samples "
+                      "%.2e\n",
+                      tolerance[k], result.report.rounds, gsn_dms_mesh(result.space)->tet_count,
+                      result.report.fit.unknowns, result.report.fit.rms, error);
+        if (k > 0)
+            print_message("    order %.1f\n",
+                          -3 * log(error / last_error) /
+                              log((double)result.report.fit.unknowns / last_unknowns));
+        CHECK(result.report.end == GSN_ADAPT_WITHIN);
+        for (size_t t = 0; t < gsn_dms_mesh(result.space)->tet_count; t++)
+            CHECK(result.report.tet_samples[t] == 0 || result.report.tet_rms[t] <= tolerance[k]);
+        CHECK(error <= tolerance[k]);
+        last_error = error;
+        last_unknowns = (double)result.report.fit.unknowns;
+        result_done(&result);
+    }
 }
 
 TEST(what_is_within_tolerance_is_left_alone)

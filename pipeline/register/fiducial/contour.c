@@ -40,12 +40,14 @@ static const double SIGMAS = 1;
 /* Width of a sector along the rim, px: two to three pixels across carry one edge. */
 static const double SECTOR_PX = 2.5;
 static const double CONTRAST_MIN = 1e-4, SCORE_MIN = 0.25;
-/* An oval is taken where so much of its rim agrees, and it leaves less than this share of what a
- * round outline leaves unexplained, or, where less of the rim agrees on the round one, less than
- * this share of its standard error: some two in three of an oval's sectors may lie on a circle
- * beside its middle, which explains what it still looks at. A disc that lost an arc is no such
- * oval. */
+/* An oval is taken where so much of its rim agrees and it leaves less than this share of what a
+ * round outline leaves unexplained. */
 static const double OVAL_LEAVES = 0.5, RIM_AGREES = 0.85;
+/* Where less of the rim agrees on a round outline: two in three of an oval's sectors may lie on a
+ * circle beside its middle, which explains what it still looks at. The oval then explains as much
+ * of what is all around, but for this share of the variance; a disc that lost an arc is no such
+ * oval, and leaves 0.013 more. */
+static const double OVAL_MISSES = 0.005;
 /* A burn's outline is round to some per cent of its radius (one standard deviation per lobe). */
 static const double DESCRIPTOR_SD = 0.04, DESCRIPTOR_SD_MIN = 0.002;
 /* Where Tukey's biweight cuts off, in standard deviations: 98 % efficient when nothing is wrong. */
@@ -408,8 +410,9 @@ static void add_explained(const struct view *v, float reach, const float *restri
     sum[3] += (double)left;
 }
 
-/* Share of the variance around the mark that the fit explains, where the edge is the mark's. */
-static double share_explained(const struct gsn_contour *fit)
+/* Share of the variance around the mark that the fit explains; all: not only where the edge is the
+ * mark's. */
+static double share_explained(const struct gsn_contour *fit, int all)
 {
     double sum[4] = { 0 }, squares;
 
@@ -418,7 +421,7 @@ static double share_explained(const struct gsn_contour *fit)
         const unsigned *first = &fit->first[k * RINGS];
         struct view v = find_view(fit, s);
 
-        if (!(s->weight > 0))
+        if (!all && !(s->weight > 0))
             continue;
         /* An outline without a slope, and tissue that is the plane alone. */
         v.along_x = v.along_y = 0;
@@ -824,7 +827,7 @@ static int run_fit(struct gsn_contour *fit, struct gsn_fiducial *mark)
         return 0;
     mark->radius_px = fit->v[R];
     mark->contrast = find_contrast(fit);
-    mark->score = share_explained(fit);
+    mark->score = share_explained(fit, 0);
     return mark->contrast >= CONTRAST_MIN && mark->score >= SCORE_MIN &&
            find_covariance(fit, h, mark);
 }
@@ -870,6 +873,20 @@ static double find_error(const struct gsn_fiducial *mark)
     return mark->found ? sqrt(mark->cov_xx + mark->cov_yy) : INFINITY;
 }
 
+/* Whether the oval, the last that was fitted, is rather the mark than the round outline. */
+static int is_the_better(const struct gsn_contour *fit, const struct gsn_fiducial *mark, double rim,
+                         const struct gsn_fiducial *oval, double oval_rim)
+{
+    if (!oval->found)
+        return 0;
+    if (!mark->found)
+        return oval_rim >= RIM_AGREES;
+    if (oval_rim >= RIM_AGREES && 1 - oval->score < OVAL_LEAVES * (1 - mark->score))
+        return 1;
+    return rim < RIM_AGREES && oval_rim > rim && find_error(oval) < find_error(mark) &&
+           mark->score - share_explained(fit, 1) < OVAL_MISSES;
+}
+
 int gsn_contour_fit(const struct gsn_plane *plane, struct gsn_point start, double radius_px,
                     struct gsn_fiducial *ret_mark, struct gsn_error *err)
 {
@@ -880,20 +897,19 @@ int gsn_contour_fit(const struct gsn_plane *plane, struct gsn_point start, doubl
     gsn_auto_mem(struct gsn_contour) fit = gsn_alloc_array(1, sizeof *fit);
     struct gsn_fiducial mark = { 0 }, oval = { 0 };
     struct gsn_oval_stretch stretch;
-    int ragged;
+    double rim, oval_rim;
 
     assert(plane && radius_px > 0 && ret_mark);
 
     if (!floats || !cells || !fit)
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for the window of a mark");
     clear_buffers(fit, floats, cells, room);
-    ragged = fit_outline(fit, plane, start, radius_px, NULL, &mark) < RIM_AGREES;
-    if ((ragged || mark.score < gsn_oval_round_score) &&
+    rim = fit_outline(fit, plane, start, radius_px, NULL, &mark);
+    if ((rim < RIM_AGREES || mark.score < gsn_oval_round_score) &&
         gsn_oval_find(plane, &start, &radius_px, &stretch)) {
         clear_buffers(fit, floats, cells, room);
-        if (fit_outline(fit, plane, start, radius_px, &stretch, &oval) >= RIM_AGREES &&
-            (1 - oval.score < OVAL_LEAVES * (1 - mark.score) ||
-             (ragged && find_error(&oval) < OVAL_LEAVES * find_error(&mark))))
+        oval_rim = fit_outline(fit, plane, start, radius_px, &stretch, &oval);
+        if (is_the_better(fit, &mark, rim, &oval, oval_rim))
             mark = oval;
     }
     *ret_mark = mark;

@@ -55,8 +55,11 @@ static void check_ellipsoid(unsigned degree, double fraction, double rx, double 
 
 TEST(a_ball_lies_between_its_bounds)
 {
+    const double clouds[] = { 0.003, 0.015, 0.05, 0.15, 0.5 };
+
     check_ellipsoid(2, 0.05, 700.0, 700.0, 700.0);
-    check_ellipsoid(3, 0.03, 700.0, 700.0, 700.0);
+    for (size_t k = 0; k < sizeof clouds / sizeof *clouds; k++)
+        check_ellipsoid(3, clouds[k], 700.0, 700.0, 700.0);
 }
 
 TEST(an_ellipsoid_lies_between_its_bounds)

@@ -511,6 +511,51 @@ TEST(the_spline_stays_within_its_residual_bounds_of_the_core_polynomial)
     }
 }
 
+/* gives: random splines on a mesh whose corner lies so many edges from the origin. */
+static struct made make_far(const size_t cells[3], double fraction, double far, uint64_t *seed)
+{
+    struct gsn_tets *mesh = kuhn_mesh(cells, 0.2);
+
+    for (size_t i = 0; i < mesh->vertex_count; i++)
+        for (size_t c = 0; c < 3; c++)
+            mesh->vertex[i][c] += far;
+    return make_random(kuhn_space_on(mesh, 3, fraction, GSN_DMS_SHARED), seed);
+}
+
+TEST(certificates_hold_far_from_the_origin_too)
+{
+    const double clouds[] = { 0.003, 0.015, 0.1, 0.3 };
+    uint64_t seed = 43;
+
+    for (size_t k = 0; k < sizeof clouds / sizeof *clouds; k++) {
+        struct made made = make_far(MIDDLE, clouds[k], 1e6, &seed);
+        const struct gsn_tets *mesh = gsn_dms_mesh(made.space);
+        double worst = 0, widest = 0;
+        size_t asked = 0;
+
+        for (size_t round = 0; asked < 10000; round++) {
+            const size_t t = round % mesh->tet_count;
+            struct gsn_dms_shape shape;
+            double bernstein[20], low, high, u[3], lambda[4], value, off;
+            size_t hint = t;
+
+            draw_in_skins(mesh, t, &seed, u);
+            if (gsn_spline_eval(made.spline, u, &hint, &value, NULL) != GSN_OK || hint != t)
+                continue;
+            gsn_dms_shape_of(made.space, t, &shape);
+            gsn_spline_bernstein(made.spline, t, bernstein);
+            gsn_spline_residual(made.spline, t, &low, &high);
+            gsn_barycentric_at(&shape.frame, u, lambda);
+            off = value - gsn_bernstein_at(3, bernstein, &shape.frame, lambda, NULL);
+            worst = fmax(worst, fmax(low - off, off - high));
+            widest = fmax(widest, high - low);
+            asked++;
+        }
+        CHECK(worst == 0 && widest > 1);
+        done(&made);
+    }
+}
+
 TEST(what_is_no_spline_and_no_cell_is_refused_and_outputs_stay_untouched)
 {
     const double flat[4][3] = { { 0, 0, 0 }, { 1, 0, 0 }, { 0, 1, 0 }, { 1, 1, 0 } };

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: AGPL-3.0-or-later
 """The net for whoever moves code: fresh imports through an old and a new build, every byte compared.
 
-    same_bytes.py OLD_BIN NEW_BIN [--quick] [--keep FOLDER]
+    same_bytes.py OLD_BIN NEW_BIN [--quick] [--plain] [--keep FOLDER]
 
 Each material is made once, by the old build, then imported and run by both, each with a store of
 its own; `gieson verify` is not asked, for it may use what a store kept. Compared are all files of a
@@ -12,9 +12,11 @@ is audit-RUN.json, which holds hashes of an audit log with times in it, nor the 
 processor time that a registration took.
 
 Materials: L0, L1, three seeds of L2, one L3, a volume, a tile, a folder of sections; --quick: L0 at
-coarse pixels, a tile and a folder. A new material is a line in MATERIALS.
+coarse pixels, a tile and a folder. --plain: the new build runs as on a processor without AVX and FMA,
+as far as glibc, OpenCV and libjpeg-turbo can be told (our own kernels are compared in tests/model). A new material is a line in MATERIALS.
 Exit 0: every byte is equal; 1: something differs, and which file, where first."""
 import argparse
+import os
 import pathlib
 import shutil
 import subprocess
@@ -35,6 +37,9 @@ MATERIALS = [
     ("tile", "file", ["--tile", SHARED / "data/colour/psr_left.jpg", "--specimen", "psr"]),
     ("folder", "folder", ["--n", "12", "--seed", "5"]),
 ]
+PLAIN = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX512VL,-AVX512DQ,-AVX2,-AVX2_Usable,"
+                           "-AVX,-FMA,-FMA_Usable,-FMA4",
+         "OPENCV_CPU_DISABLE": "AVX512_SKX,AVX2,FP16,AVX,FMA3", "JSIMD_FORCESSE2": "1"}
 QUICK = [("L0", "phantom", ["--level", "L0", "--seed", "1", "--px", "32"]), *MATERIALS[-2:]]
 
 
@@ -109,6 +114,7 @@ def main():
     parser.add_argument("old", type=pathlib.Path)
     parser.add_argument("new", type=pathlib.Path)
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--plain", action="store_true")
     parser.add_argument("--keep", type=pathlib.Path, help="work here and leave it behind")
     args = parser.parse_args()
     home = args.keep or pathlib.Path(tempfile.mkdtemp(prefix="gieson-same-"))
@@ -124,7 +130,11 @@ def main():
         for build in ("old", "new"):
             place = home / name / build
             place.mkdir()
+            if args.plain and build == "new":
+                os.environ.update(PLAIN)
             seen.append(answer(kind, arguments, getattr(args, build).resolve(), material, place))
+            for variable in PLAIN:
+                os.environ.pop(variable, None)
         differ += compare(name, *seen)
         if not args.keep:
             shutil.rmtree(home / name)

@@ -42,8 +42,8 @@ extern "C" {
  * the colour scale, channels of colour (0 or 3). */
 enum { GSN_PAGE_HEAD = 16 };
 
-/* A page may weigh 4 MB: pictures take 3, and base64 a quarter of the rest. */
-enum { GSN_PAGE_BYTES = 720000 };
+/* A page may weigh 3 MB: pictures take 2, and base64 a quarter of the rest. */
+enum { GSN_PAGE_BYTES = 600000 };
 
 struct gsn_page_options {
     const struct gsn_mask *region; /* NULL: all of the domain is inside */

@@ -13,9 +13,9 @@
 #include "pipeline/specimen/density_stack.h"
 #include "pipeline/specimen/scan.h"
 
-/* Bytes of all small pictures together, so that a page with them stays below 4 MB; and about how
+/* Bytes of all small pictures together, so that a page with them stays below 3 MB; and about how
  * many all large ones take. */
-enum { GSN_ALIGNED_BYTES = 600000, GSN_GLASS_BYTES = 9000000 };
+enum { GSN_ALIGNED_BYTES = 360000, GSN_GLASS_BYTES = 9000000 };
 
 /* Opaque. */
 struct gsn_aligned_pictures;

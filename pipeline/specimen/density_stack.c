@@ -99,9 +99,9 @@ void gsn_stack_light_table_done(struct gsn_stack_light_table *light)
     gsn_free(light->code);
 }
 
-/* Shown at half its size, so that it can be enlarged; MANY of them weigh a megabyte in the page,
- * and so do more. */
-enum { THUMBNAIL_PX = 264, THUMBNAIL_QUALITY = 65, MANY = 60 };
+/* A section is seen larger in the page beside the report; MANY of these weigh half a megabyte in
+ * the page, and so do more. */
+enum { THUMBNAIL_PX = 192, THUMBNAIL_QUALITY = 65, MANY = 60 };
 
 /* A hundredth of the tissue clipped is told; of a fifth the mean of what is left says little, for
  * it is the darkest that is missing. */

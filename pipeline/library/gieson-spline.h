@@ -174,6 +174,24 @@ int gsn_field_fit_many(const struct gsn_space *space, const struct gsn_data *dat
                        const struct gsn_field_options *options, struct gsn_field **ret_field,
                        struct gsn_field_report *ret_report, struct gsn_error *err);
 
+/* What moving the knots has gained, and how often: rms with the knots as they were given, and after
+ * the vertices had moved. */
+struct gsn_free_report {
+    double rms_fixed, rms_vertices;
+    unsigned vertex_steps, cloud_steps;
+};
+
+/* gives: the field that follows the samples in a space of its own, to which the knots of this one
+ * have moved until they left less of the samples: first vertices inside the mesh with their clouds,
+ * in at most so many steps (0: 16), then single knots in a quarter as many. The mesh stays what it
+ * covers, and how it is joined. Slow: each step is several fits. For walls that no mesh knows of;
+ * where their places are known, gsn_space_follow() is better. ret_free and ret_report may be NULL.
+ * Fails as gsn_field_fit(). */
+int gsn_field_fit_free(const struct gsn_space *space, const struct gsn_data *data,
+                       const struct gsn_field_options *options, unsigned steps,
+                       struct gsn_field **ret_field, struct gsn_free_report *ret_free,
+                       struct gsn_field_report *ret_report, struct gsn_error *err);
+
 /* gives: the field of these gsn_space_unknowns() control values. keeps: space. Fails with
  * GSN_E_INPUT on one that is not finite, GSN_E_NOMEM. */
 int gsn_field_new(const struct gsn_space *space, const double *control,

@@ -16,6 +16,7 @@
 #include "pipeline/export/volume_file.h"
 #include "pipeline/measure/integral.h"
 #include "pipeline/measure/level_set.h"
+#include "pipeline/model/free_knots.h"
 #include "pipeline/model/batch.h"
 #include "pipeline/model/domain.h"
 #include "pipeline/model/fit.h"
@@ -36,7 +37,7 @@ GSN_DEFINE_AUTO(gsn_space);
 struct gsn_field {
     const struct gsn_space *space;
     struct gsn_spline *spline;
-    struct gsn_space *own; /* the space, when the field came from a file */
+    struct gsn_space *own; /* the space, when the field came from a file or has knots of its own */
 };
 GSN_DEFINE_AUTO(gsn_field);
 
@@ -344,6 +345,40 @@ int gsn_field_fit(const struct gsn_space *space, const struct gsn_data *data,
                   struct gsn_field_report *ret_report, struct gsn_error *err)
 {
     return gsn_field_fit_many(space, data, &data->value, 1, options, ret_field, ret_report, err);
+}
+
+int gsn_field_fit_free(const struct gsn_space *space, const struct gsn_data *data,
+                       const struct gsn_field_options *options, unsigned steps,
+                       struct gsn_field **ret_field, struct gsn_free_report *ret_free,
+                       struct gsn_field_report *ret_report, struct gsn_error *err)
+{
+    const struct gsn_samples samples = {
+        .count = data->count, .at = data->at, .exact = data->value, .weight = data->weight
+    };
+    const unsigned most = steps > 0 ? steps : 16;
+    const struct gsn_free_knots_options free_options = { .fit = fit_options(data, options),
+                                                         .vertex_steps = most,
+                                                         .cloud_steps = most / 4 };
+    gsn_auto(gsn_space) own = gsn_alloc_array(1, sizeof *own);
+    struct gsn_free_knots_report report;
+    struct gsn_spline *spline = NULL;
+    int r;
+
+    assert(space && ret_field);
+    if (!own)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a space");
+    r = gsn_free_knots(space->dms, &samples, &free_options, &own->dms, &spline, &report, err);
+    if (r >= 0)
+        r = wrap_spline(own, spline, ret_field, err);
+    if (r < 0)
+        return r;
+    (*ret_field)->own = gsn_steal(&own);
+    if (ret_free)
+        *ret_free = (struct gsn_free_report){ report.rms_fixed, report.rms_vertices,
+                                              report.vertex_steps, report.cloud_steps };
+    if (ret_report)
+        *ret_report = report_of(&report.fit);
+    return GSN_OK;
 }
 
 /* --- values --- */

@@ -21,7 +21,7 @@ import os
 
 import numpy as np
 
-__all__ = ["Error", "Space", "Field", "Report", "Volume", "SMOOTHING", "load"]
+__all__ = ["Error", "Space", "Field", "Report", "Free", "Volume", "SMOOTHING", "load"]
 
 SMOOTHING = 1e-6
 """What fit() smooths unless told otherwise: it fills what holds no sample."""
@@ -87,6 +87,16 @@ class Report(ctypes.Structure):
         return "Report(" + ", ".join(f"{name}={getattr(self, name)}" for name, _ in self._fields_) + ")"
 
 
+class Free(ctypes.Structure):
+    """What moving the knots gained: rms_fixed (as the knots were given), rms_vertices (after the vertices
+    had moved), vertex_steps and cloud_steps (that were taken)."""
+    _fields_ = [("rms_fixed", ctypes.c_double), ("rms_vertices", ctypes.c_double),
+                ("vertex_steps", ctypes.c_uint), ("cloud_steps", ctypes.c_uint)]
+
+    def __repr__(self):
+        return "Free(" + ", ".join(f"{name}={getattr(self, name)}" for name, _ in self._fields_) + ")"
+
+
 class Volume(ctypes.Structure):
     """lower <= the region's volume where the field is above threshold <= upper, guaranteed."""
     _fields_ = [("threshold", ctypes.c_double), ("lower", ctypes.c_double), ("upper", ctypes.c_double)]
@@ -111,6 +121,7 @@ def _declare():
             "gsn_space_tets": [pointer, pointer], "gsn_space_knots": [pointer],
             "gsn_space_degree": [pointer], "gsn_space_unknowns": [pointer],
             "gsn_field_fit_many": [pointer, pointer, pointer, size, pointer, pointer, pointer, pointer],
+            "gsn_field_fit_free": [pointer, pointer, pointer, ctypes.c_uint] + [pointer] * 4,
             "gsn_field_new": [pointer] * 4, "gsn_field_free": [pointer], "gsn_field_space": [pointer],
             "gsn_field_controls": [pointer],
             "gsn_field_at": [pointer, pointer, size, ctypes.c_uint, pointer, pointer, pointer],
@@ -336,11 +347,27 @@ class Space:
         reports = [Report.from_buffer_copy(report) for report in reports]
         return (fields[0], reports[0]) if single else (fields, reports)
 
+    def fit_free(self, places, values, weights=None, folds=None, steps=0, smoothing=SMOOTHING, jump=0.0,
+                 tolerance=0.0, iterations=0, threads=0, strict=False):
+        """(field, report, free) of samples as of fit(), in a space of its own whose knots have moved to
+        where they leave less of the samples: vertices inside of the mesh in at most so many steps (0:
+        16), then single knots in a quarter as many. Each step is several fits."""
+        places = _places(places)
+        values = _per_sample(values, len(places), "values")
+        weights = _per_sample(weights, len(places), "weights")
+        folds = _per_sample(folds, len(places), "folds", np.uint8)
+        data = _Data(len(places), places.ctypes.data, values.ctypes.data, _address(weights), _address(folds))
+        options = _FieldOptions(smoothing, jump, tolerance, iterations, threads, strict, None)
+        handle, free, report = ctypes.c_void_p(), Free(), Report()
+        _call(_lib.gsn_field_fit_free, self._handle, ctypes.byref(data), ctypes.byref(options), steps,
+              ctypes.byref(handle), ctypes.byref(free), ctypes.byref(report))
+        return Field._of(handle, None), report, free
+
 
 # --- fields ------------------------------------------------------------------------------------------
 
 class Field:
-    """A smooth field; made by Space.fit(), Space.field() and load()."""
+    """A smooth field; made by Space.fit(), Space.fit_free(), Space.field() and load()."""
 
     def __init__(self):
         raise TypeError("fields are made by Space.fit(), Space.field() and load()")

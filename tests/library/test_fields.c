@@ -28,13 +28,16 @@ static int use_all(struct gsn_error *err)
 {
     double corner[8][3];
     const struct gsn_data data = { .count = SAMPLES, .at = (const double(*)[3])at };
+    const struct gsn_data shown = { .count = SAMPLES,
+                                    .at = (const double(*)[3])at,
+                                    .value = value[0] };
     const double *const channel[2] = { value[0], value[1] };
     const struct gsn_voxels region = { .size = { 2, 2, 2 },
                                        .origin = { 0.4, 0.4, 0.4 },
                                        .step = { 0.2, 0.2, 0.2 } };
     const double threshold = 2, a[3] = { 0.1, 0.1, 0.1 }, b[3] = { 0.9, 0.8, 0.7 };
     struct gsn_space *space = NULL;
-    struct gsn_field *field[2] = { NULL, NULL };
+    struct gsn_field *field[2] = { NULL, NULL }, *moved = NULL;
     struct gsn_field_volume volume;
     double sum, length, mean[6];
     int r;
@@ -46,6 +49,10 @@ static int use_all(struct gsn_error *err)
     if (r >= 0)
         r = gsn_field_fit_many(space, &data, channel, 2, NULL, field, NULL, err);
     CHECK(r >= 0 || (!field[0] && !field[1]));
+    if (r >= 0)
+        r = gsn_field_fit_free(space, &shown, NULL, 1, &moved, NULL, NULL, err);
+    CHECK(r >= 0 || !moved);
+    gsn_field_free(moved);
     if (r >= 0)
         r = gsn_field_segment(field[0], a, b, &sum, &length, err);
     if (r >= 0)

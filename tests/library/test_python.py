@@ -131,6 +131,22 @@ def test_weights_and_reports():
         raise AssertionError(wrong)
 
 
+def test_free_knots():
+    """Against numpy's own residuals, on a wall aslant through tetrahedra of a third of the cube."""
+    space = gs.Space(*cube(3), degree=2)
+    at = rng.random((6000, 3))
+    wall = np.tanh((at @ [1.0, 0.4, -0.3] - 0.57) / 0.06)
+    fixed, _ = space.fit(at, wall)
+    field, report, free = space.fit_free(at, wall, steps=8)
+    rms = np.sqrt(np.mean((field(at) - wall)**2)), np.sqrt(np.mean((fixed(at) - wall)**2))
+    assert abs(report.rms - rms[0]) < 1e-9 and abs(free.rms_fixed - rms[1]) < 1e-9, (free, rms)
+    assert rms[0] < 0.8 * rms[1] and free.vertex_steps > 0, (free, rms)
+    assert field.space.unknowns == space.unknowns
+    moved = np.abs(field.space.points - space.points).max(axis=1) > 0
+    assert moved.any() and not moved[((space.points == 0) | (space.points == 1)).any(axis=1)].any()
+    refused("input", "sample 0", space.fit_free, at + 9, wall, strict=True)
+
+
 def test_channels():
     space = gs.Space(*cube(2), degree=3)
     at = rng.random((9000, 3))

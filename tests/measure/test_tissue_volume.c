@@ -224,7 +224,8 @@ TEST(volumes_of_a_real_tooth_under_a_real_grain_are_its_own)
         }
     }
     (void)printf("%d of %d intervals hold the truth\n", covered, given);
-    CHECK(given >= 3 * seeds && covered >= given * 85 / 100);
+    /* The third is withheld now and then: its half width is near the 10 % where that happens. */
+    CHECK(4 * given >= 11 * seeds && covered >= given * 85 / 100);
     block_done(&b);
 }
 

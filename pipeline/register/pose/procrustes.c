@@ -523,7 +523,7 @@ void gsn_procrustes_learn_alike(struct gsn_procrustes *s)
     if (s->with_three < GSN_ROBUST_COVARIANCE_MIN || s->fit_um2 <= rounding_um2(s))
         return;
     least = find_deviance(s, &mean) - 2;
-    for (int k = 1; k <= SHARES; k++) {
+    for (int k = 1; k < SHARES; k++) {
         double deviance;
 
         s->alike = (double)k / SHARES;

@@ -75,9 +75,9 @@ void gsn_procrustes_initialise(struct gsn_procrustes *s);
 void gsn_procrustes_add_observations(struct gsn_procrustes *s, const struct gsn_pose_input *inputs);
 void gsn_procrustes_fit(struct gsn_procrustes *s);
 /* Once the strain is learnt: tries how much of a mark's variance is every mark's alike; never none,
- * as no mark is exact because its fit says so. It is left open with fewer than 12 sections, and
- * unless the residuals are likelier for it than one more unknown makes them by chance (Akaike's 2).
- */
+ * as no mark is exact because its fit says so, and never all, as a torn mark's fit says so. It is
+ * left open with fewer than 12 sections, and unless the residuals are likelier for it than one more
+ * unknown makes them by chance (Akaike's 2). */
 void gsn_procrustes_learn_alike(struct gsn_procrustes *s);
 double gsn_procrustes_acceptable(const struct gsn_procrustes *s);
 /* What is added to the fits' own variance, and what that is multiplied by. */

@@ -96,7 +96,7 @@ TEST(sections_that_differ_in_size_are_laid_with_their_size)
                                              .flips = 0.1,
                                              .burn_um = erratic ? 0 : 3,
                                              .fit_um = 2,
-                                             .erratic = erratic ? 0.6 : 0,
+                                             .erratic = erratic ? 0.4 : 0,
                                              .strain_sd = { sizes[k / 2], 0, 0 } };
         const struct outcome o = outcome_with(&world, &options, mounted_trials(6000), 11 + k);
 

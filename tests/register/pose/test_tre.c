@@ -167,7 +167,7 @@ TEST(fits_whose_word_is_chance_are_found_out_by_the_stack)
 
     world.burn_um = 0;
     world.fit_um = 6;
-    world.erratic = 0.6;
+    world.erratic = 0.4;
     s = simulate(&world, 60, mounted_trials(8000), TARGET, 33, 0);
     check_calibrated("fits whose word is chance", &s);
 }

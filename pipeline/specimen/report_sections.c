@@ -19,6 +19,7 @@
 #include "pipeline/specimen/quality_control.h"
 #include "pipeline/specimen/reconstruction.h"
 #include "pipeline/specimen/section_order.h"
+#include "pipeline/specimen/section_pictures.h"
 #include "pipeline/stain/artefact/detection.h"
 
 #include <math.h>
@@ -249,28 +250,28 @@ static void fill_section(const struct gsn_reconstruction *a, size_t i, const str
     const struct gsn_layout layout = gsn_protocol_layout(p);
     struct gsn_report_section *row = &d->section[i];
 
-    *row = (struct gsn_report_section){ .serial = s->seen.serial,
-                                        .z_um = p->interval_um * (s->seen.serial + 0.5),
-                                        .panel = s->panel,
-                                        .slot = s->seen.slot,
-                                        .state = gsn_section_state_name(shown->state),
-                                        .flipped = s->pose.flipped,
-                                        .rotated180 = s->pose.rotated180,
-                                        .posed = s->posed,
-                                        .panel_to_block_um = s->pose.panel_to_block_um,
-                                        .predicted_tre_um = s->posed ? s->pose.tre_um : NAN,
-                                        .thumbnail = { .bytes = shown->thumbnail.png,
-                                                       .size = shown->thumbnail.size,
-                                                       .width = shown->thumbnail.width,
-                                                       .height = shown->thumbnail.height },
-                                        .aligned = { .bytes = shown->aligned.png,
-                                                     .size = shown->aligned.size,
-                                                     .width = shown->aligned.width,
-                                                     .height = shown->aligned.height },
-                                        .tissue_apart_um =
-                                            s->finding.compared ? s->finding.apart : NAN,
-                                        .tissue_limit_um =
-                                            s->finding.compared ? s->finding.limit : NAN };
+    *row = (struct gsn_report_section){
+        .serial = s->seen.serial,
+        .z_um = p->interval_um * (s->seen.serial + 0.5),
+        .panel = s->panel,
+        .slot = s->seen.slot,
+        .state = gsn_section_state_name(shown->state),
+        .flipped = s->pose.flipped,
+        .rotated180 = s->pose.rotated180,
+        .posed = s->posed,
+        .panel_to_block_um = gsn_settled_pose(&s->pose.panel_to_block_um),
+        .predicted_tre_um = s->posed ? s->pose.tre_um : NAN,
+        .thumbnail = { .bytes = shown->thumbnail.png,
+                       .size = shown->thumbnail.size,
+                       .width = shown->thumbnail.width,
+                       .height = shown->thumbnail.height },
+        .aligned = { .bytes = shown->aligned.png,
+                     .size = shown->aligned.size,
+                     .width = shown->aligned.width,
+                     .height = shown->aligned.height },
+        .tissue_apart_um = s->finding.compared ? s->finding.apart : NAN,
+        .tissue_limit_um = s->finding.compared ? s->finding.limit : NAN
+    };
     if (s->posed && strained) {
         const struct gsn_strain_axes axes = gsn_strain_principal(s->pose.strain);
 
@@ -287,8 +288,8 @@ static void fill_section(const struct gsn_reconstruction *a, size_t i, const str
         row->marker_found[m] = mark[m].found;
         row->marker_px[m] = mark[m].px;
         row->residual_um[m] = s->posed ? s->pose.residual_um[m] : NAN;
-        row->onto_um[m] = s->pose.state != GSN_POSE_NONE ? s->pose.onto_um[m]
-                                                         : (struct gsn_point){ NAN, NAN };
+        row->onto_um[m] =
+            s->pose.state != GSN_POSE_NONE ? s->pose.onto_um[m] : (struct gsn_point){ NAN, NAN };
         row->off_um[m] = s->pose.off_um[m];
     }
 }
@@ -649,7 +650,8 @@ static struct gsn_report_candidate candidate_of(const struct gsn_candidate *c,
                                         .rotated180 = c->rotated180,
                                         .share = c->share,
                                         .laid = c->laid,
-                                        .panel_to_block_um = c->panel_to_block_um,
+                                        .panel_to_block_um =
+                                            gsn_settled_pose(&c->panel_to_block_um),
                                         .predicted_tre_um = c->error_um,
                                         .differs = c->differs,
                                         .picture = { .bytes = picture->png,

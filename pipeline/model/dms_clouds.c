@@ -107,25 +107,35 @@ static void place_knots(const struct gsn_tets *mesh, unsigned degree, const stru
     }
 }
 
+double gsn_dms_steepest(const struct gsn_tets *mesh, size_t tet)
+{
+    const uint32_t *v = mesh->tet[tet];
+    struct gsn_barycentric frame;
+    double rest[3], steepest;
+
+    gsn_barycentric_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
+                         mesh->vertex[v[3]]);
+    for (int c = 0; c < 3; c++)
+        rest[c] = frame.row[0][c] + frame.row[1][c] + frame.row[2][c];
+    steepest = length_of(rest);
+    for (int k = 0; k < 3; k++)
+        steepest = fmax(steepest, length_of(frame.row[k]));
+    return steepest;
+}
+
 /* radius = fraction of the smallest altitude in the star. */
 static void plan_radii(const struct gsn_tets *mesh, double fraction, struct plan *plan)
 {
     for (size_t i = 0; i < mesh->vertex_count; i++)
         plan[i] = (struct plan){ .radius = DBL_MAX, .spread = 1 };
     for (size_t t = 0; t < mesh->tet_count; t++) {
-        const uint32_t *v = mesh->tet[t];
-        struct gsn_barycentric frame;
-        double rest[3], steepest;
+        const double steepest = gsn_dms_steepest(mesh, t);
 
-        gsn_barycentric_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                             mesh->vertex[v[3]]);
-        for (int c = 0; c < 3; c++)
-            rest[c] = frame.row[0][c] + frame.row[1][c] + frame.row[2][c];
-        steepest = length_of(rest);
-        for (int k = 0; k < 3; k++)
-            steepest = fmax(steepest, length_of(frame.row[k])); /* 1 / altitude */
-        for (int k = 0; k < 4; k++)
-            plan[v[k]].radius = fmin(plan[v[k]].radius, fraction / steepest);
+        for (int k = 0; k < 4; k++) {
+            struct plan *at = &plan[mesh->tet[t][k]];
+
+            at->radius = fmin(at->radius, fraction / steepest);
+        }
     }
 }
 

@@ -58,6 +58,8 @@ void gsn_dms_gather(const struct gsn_dms *space, size_t tet,
                     double ret_knot[GSN_SIMPLEX_MAX_KNOTS][3]);
 /* Its shape, from the vertices and what is kept. */
 void gsn_dms_shape_of(const struct gsn_dms *space, size_t tet, struct gsn_dms_shape *ret_shape);
+/* 1 / the lowest altitude of a tetrahedron, per um: how fast its barycentric coordinates change. */
+double gsn_dms_steepest(const struct gsn_tets *mesh, size_t tet);
 
 /* The shape of a tetrahedron from its knots in local order. Fails with GSN_E_MESH, without a
  * place, when some det X_beta, |beta| <= degree, is not greater than margin times that of the

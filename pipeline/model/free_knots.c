@@ -101,30 +101,12 @@ static double find_length(const double v[3])
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
 }
 
-/* The lowest of a tetrahedron's four heights. */
-static double find_height(const struct gsn_tets *mesh, size_t tet)
-{
-    struct gsn_barycentric frame;
-    const uint32_t *v = mesh->tet[tet];
-    double steepest = 0, last[3] = { 0 };
-
-    gsn_barycentric_init(&frame, mesh->vertex[v[0]], mesh->vertex[v[1]], mesh->vertex[v[2]],
-                         mesh->vertex[v[3]]);
-    for (size_t k = 0; k < 3; k++) {
-        steepest = fmax(steepest, find_length(frame.row[k]));
-        for (size_t a = 0; a < 3; a++)
-            last[a] -= frame.row[k][a];
-    }
-    steepest = fmax(steepest, find_length(last));
-    return 1 / steepest;
-}
-
 static void find_heights(struct state *s, const struct gsn_tets *mesh)
 {
     for (size_t p = 0; p < s->vertices; p++)
         s->height[p] = INFINITY;
     for (size_t t = 0; t < mesh->tet_count; t++) {
-        const double height = find_height(mesh, t);
+        const double height = 1 / gsn_dms_steepest(mesh, t);
 
         for (size_t k = 0; k < 4; k++)
             s->height[mesh->tet[t][k]] = fmin(s->height[mesh->tet[t][k]], height);

@@ -192,6 +192,15 @@ int gsn_field_fit_free(const struct gsn_space *space, const struct gsn_data *dat
                        struct gsn_field **ret_field, struct gsn_free_report *ret_free,
                        struct gsn_field_report *ret_report, struct gsn_error *err);
 
+/* gives: the same field with one vertex more, in a space of its own. knots: degree + 1 places, the
+ * first that of the vertex, inside of a tetrahedron, which becomes four; the others are its cloud.
+ * Nothing changes anywhere: knots are inserted exactly, to be moved or fitted then. Every
+ * tetrahedron of the new space has control values of its own.
+ * Fails with GSN_E_INPUT on a vertex outside of the mesh or a knot that is not finite; GSN_E_MESH
+ * on a vertex that lies on a face, or knots that would turn a tetrahedron over; GSN_E_NOMEM. */
+int gsn_field_insert(const struct gsn_field *field, const double (*knots)[3],
+                     struct gsn_field **ret_field, struct gsn_error *err);
+
 /* gives: the field of these gsn_space_unknowns() control values. keeps: space. Fails with
  * GSN_E_INPUT on one that is not finite, GSN_E_NOMEM. */
 int gsn_field_new(const struct gsn_space *space, const double *control,

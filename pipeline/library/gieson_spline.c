@@ -16,10 +16,11 @@
 #include "pipeline/export/volume_file.h"
 #include "pipeline/measure/integral.h"
 #include "pipeline/measure/level_set.h"
-#include "pipeline/model/free_knots.h"
 #include "pipeline/model/batch.h"
 #include "pipeline/model/domain.h"
 #include "pipeline/model/fit.h"
+#include "pipeline/model/free_knots.h"
+#include "pipeline/model/knots.h"
 #include "pipeline/model/model_file.h"
 #include "pipeline/model/resample.h"
 #include "pipeline/render/isosurface.h"
@@ -379,6 +380,30 @@ int gsn_field_fit_free(const struct gsn_space *space, const struct gsn_data *dat
     if (ret_report)
         *ret_report = report_of(&report.fit);
     return GSN_OK;
+}
+
+int gsn_field_insert(const struct gsn_field *field, const double (*knots)[3],
+                     struct gsn_field **ret_field, struct gsn_error *err)
+{
+    gsn_auto(gsn_space) own = gsn_alloc_array(1, sizeof *own);
+    gsn_auto_mem(double) control = NULL;
+    struct gsn_spline *spline = NULL;
+    size_t tet;
+    int r;
+
+    assert(field && knots && ret_field);
+    if (!own)
+        return gsn_fail(err, GSN_E_NOMEM, "out of memory for a space");
+    if (gsn_dms_locate(field->space->dms, knots[0], 0, &tet) != GSN_OK)
+        return gsn_fail(err, GSN_E_INPUT, "the new vertex does not lie in the mesh");
+    r = gsn_insert_vertex(field->spline, tet, knots, &own->dms, &control, err);
+    if (r >= 0)
+        r = gsn_spline_new(own->dms, control, &spline, err);
+    if (r >= 0)
+        r = wrap_spline(own, spline, ret_field, err);
+    if (r >= 0)
+        (*ret_field)->own = gsn_steal(&own);
+    return r;
 }
 
 /* --- values --- */

@@ -122,7 +122,7 @@ def _declare():
             "gsn_space_degree": [pointer], "gsn_space_unknowns": [pointer],
             "gsn_field_fit_many": [pointer, pointer, pointer, size, pointer, pointer, pointer, pointer],
             "gsn_field_fit_free": [pointer, pointer, pointer, ctypes.c_uint] + [pointer] * 4,
-            "gsn_field_new": [pointer] * 4, "gsn_field_free": [pointer], "gsn_field_space": [pointer],
+            "gsn_field_insert": [pointer] * 4, "gsn_field_new": [pointer] * 4, "gsn_field_free": [pointer], "gsn_field_space": [pointer],
             "gsn_field_controls": [pointer],
             "gsn_field_at": [pointer, pointer, size, ctypes.c_uint, pointer, pointer, pointer],
             "gsn_field_hessian": [pointer, pointer, size, pointer],
@@ -367,7 +367,7 @@ class Space:
 # --- fields ------------------------------------------------------------------------------------------
 
 class Field:
-    """A smooth field; made by Space.fit(), Space.fit_free(), Space.field() and load()."""
+    """A smooth field; made by Space.fit(), Space.fit_free(), Space.field(), insert() and load()."""
 
     def __init__(self):
         raise TypeError("fields are made by Space.fit(), Space.field() and load()")
@@ -393,6 +393,17 @@ class Field:
     def controls(self):
         """Its control values."""
         return _borrowed(_lib.gsn_field_controls(self._handle), ctypes.c_double, (self.space.unknowns,))
+
+    def insert(self, knots):
+        """The same field with one vertex more, in a space of its own: knots (degree + 1, 3), the first
+        the vertex, inside of a tetrahedron, the others its cloud. Nothing changes anywhere."""
+        knots = _places(knots)
+        if len(knots) != self.space.degree + 1:
+            raise ValueError(f"a vertex of degree {self.space.degree} has {self.space.degree + 1} knots, "
+                             f"not {len(knots)}")
+        handle = ctypes.c_void_p()
+        _call(_lib.gsn_field_insert, self._handle, knots.ctypes.data, ctypes.byref(handle))
+        return Field._of(handle, None)
 
     def _at(self, places, threads, with_gradient):
         at = _places(places)

@@ -12,7 +12,7 @@
  * tetrahedra of one, evaluate the polar form at the knots of their new functions.
  *
  * Failure: GSN_E_MESH when knots would fold a tetrahedron over; the spline is never changed.
- * Cost: a derivative a few times a value; a check of one vertex looks through the whole mesh. */
+ * Cost: a derivative a few times a value; an insertion makes the whole space anew. */
 #include "pipeline/model/knots.h"
 
 #include "pipeline/model/dms_internal.h"
@@ -23,10 +23,6 @@
 #include <string.h>
 
 /* --- derivatives by the knots --- */
-
-/* An X_beta must keep this share of its tetrahedron: more than gsn_dms_new() asks for, so that what
- * passes here is taken there. */
-#define MARGIN 1e-6
 
 /* The caller's total while the tetrahedra that reach u add their share. */
 struct sum {
@@ -83,49 +79,6 @@ int gsn_knots_gradient_add(const struct gsn_spline *spline, const double u[3], s
         return GSN_DMS_OUTSIDE;
     *hint = tet;
     gsn_dms_each(space, tet, u, 0, add_tet, &sum);
-    return GSN_OK;
-}
-
-static int check_tet(const uint32_t v[4], unsigned degree, const double (*knots)[3],
-                     struct gsn_error *err)
-{
-    const size_t per_cloud = degree + 1;
-    double knot[GSN_SIMPLEX_MAX_KNOTS][3];
-    struct gsn_dms_shape shape;
-
-    for (size_t i = 0; i < 4 * per_cloud; i++) {
-        const size_t l = i % per_cloud;
-
-        memcpy(knot[i], knots[v[i / per_cloud] * per_cloud + l], sizeof knot[i]);
-        if (!isfinite(knot[i][0]) || !isfinite(knot[i][1]) || !isfinite(knot[i][2]))
-            return gsn_fail(err, GSN_E_INPUT,
-                            "knot %zu of vertex %u has a coordinate that is not finite", l,
-                            v[i / per_cloud]);
-    }
-    return gsn_dms_shape_init(degree, (const double(*)[3])knot, MARGIN, 1, &shape, err);
-}
-
-int gsn_knots_check(const struct gsn_tets *mesh, unsigned degree, const double (*knots)[3],
-                    size_t vertex, struct gsn_error *err)
-{
-    if (degree < 1 || degree > GSN_DMS_MAX_DEGREE)
-        return gsn_fail(err, GSN_E_INPUT, "degree %u: a simplex spline has degree 1 to %d", degree,
-                        GSN_DMS_MAX_DEGREE);
-    if (vertex >= mesh->vertex_count)
-        return gsn_fail(err, GSN_E_INPUT, "vertex %zu of %zu", vertex, mesh->vertex_count);
-    for (size_t t = 0; t < mesh->tet_count; t++) {
-        const uint32_t *v = mesh->tet[t];
-        int r;
-
-        if (v[0] != vertex && v[1] != vertex && v[2] != vertex && v[3] != vertex)
-            continue;
-        r = check_tet(v, degree, knots, err);
-        if (r < 0) {
-            (void)gsn_fail_at(err, "tetrahedron %zu (vertices %u %u %u %u)", t, v[0], v[1], v[2],
-                              v[3]);
-            return r;
-        }
-    }
     return GSN_OK;
 }
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
-/* What a spline does when its knots move: the derivative by every knot, and how far a knot may go.
+/* What a spline does when its knots move, or one more vertex has some.
  *
  * With p a vertex, j its place in tetrahedron I, 0 <= l <= n,
  *
@@ -11,8 +11,8 @@
  * which is the paper's equation (6) with its summation limits put right (docs/MATH.md, section 3).
  * Control points stay as they are. Moving all knots moves s: the sum over all knots is - grad s.
  *
- * The formula holds as long as every det X_b keeps its sign; gsn_knots_check() is the barrier that
- * a step must not cross. */
+ * The formula holds as long as every det X_b keeps its sign; knots beyond are refused by
+ * gsn_dms_new(). */
 #ifndef GSN_MODEL_KNOTS_H
 #define GSN_MODEL_KNOTS_H
 
@@ -31,15 +31,6 @@ extern "C" {
  * Returns GSN_OK, or GSN_DMS_OUTSIDE with total untouched. */
 int gsn_knots_gradient_add(const struct gsn_spline *spline, const double u[3], size_t *hint,
                            double weight, double (*total)[3]);
-
-/* Whether these knots, (degree + 1) per vertex as in gsn_dms_new(), are valid in all tetrahedra
- * around one vertex: every X_b with |b| <= degree positive with a margin, and sum delta < 1. The
- * vertices are the knots of number 0; those of mesh are not looked at, so a vertex may move as
- * well. Looks through the whole mesh for the tetrahedra. A space of knots whose vertices all pass
- * is one that gsn_dms_new() takes. Fails with GSN_E_MESH naming the tetrahedron, or GSN_E_INPUT on
- * a vertex, degree or coordinate out of range. */
-int gsn_knots_check(const struct gsn_tets *mesh, unsigned degree, const double (*knots)[3],
-                    size_t vertex, struct gsn_error *err);
 
 /* Exact insertion of a vertex: one tetrahedron becomes four, and the spline stays what it is.
  *

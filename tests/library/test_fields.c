@@ -35,6 +35,7 @@ static int use_all(struct gsn_error *err)
     const struct gsn_voxels region = { .size = { 2, 2, 2 },
                                        .origin = { 0.4, 0.4, 0.4 },
                                        .step = { 0.2, 0.2, 0.2 } };
+    const double vertex[3][3] = { { 0.6, 0.3, 0.45 }, { 0.61, 0.3, 0.45 }, { 0.6, 0.31, 0.45 } };
     const double threshold = 2, a[3] = { 0.1, 0.1, 0.1 }, b[3] = { 0.9, 0.8, 0.7 };
     struct gsn_space *space = NULL;
     struct gsn_field *field[2] = { NULL, NULL }, *moved = NULL;
@@ -51,6 +52,11 @@ static int use_all(struct gsn_error *err)
     CHECK(r >= 0 || (!field[0] && !field[1]));
     if (r >= 0)
         r = gsn_field_fit_free(space, &shown, NULL, 1, &moved, NULL, NULL, err);
+    CHECK(r >= 0 || !moved);
+    gsn_field_free(moved);
+    moved = NULL;
+    if (r >= 0)
+        r = gsn_field_insert(field[0], vertex, &moved, err);
     CHECK(r >= 0 || !moved);
     gsn_field_free(moved);
     if (r >= 0)

@@ -147,6 +147,30 @@ def test_free_knots():
     refused("input", "sample 0", space.fit_free, at + 9, wall, strict=True)
 
 
+def test_inserted_vertices():
+    """Values everywhere as before, of a field that no polynomial is; and it can be fitted on."""
+    for degree in (1, 2, 3):
+        space = gs.Space(*cube(2), degree=degree)
+        field = space.field(rng.random(space.unknowns))
+        tets = space.points[space.tetrahedra].mean(axis=1)
+        vertex = tets[5] + 0.02 * rng.random(3)
+        more = field.insert(vertex + np.vstack([np.zeros(3), 1e-3 * (rng.random((degree, 3)) - 0.5)]))
+        assert len(more.space.points) == len(space.points) + 1 and len(more.space.tetrahedra) == len(tets) + 3
+        assert np.array_equal(more.space.points[-1], vertex)
+        probe = np.vstack([rng.random((500, 3)), vertex + 1e-3 * (rng.random((500, 3)) - 0.5)])
+        assert np.abs(more(probe) - field(probe)).max() < 1e-12
+        again = more.insert(np.tile(more.space.points[more.space.tetrahedra].mean(axis=1)[-1], (degree + 1, 1))
+                            + 1e-4 * rng.random((degree + 1, 3)))
+        assert np.abs(again(probe) - field(probe)).max() < 1e-12
+        refused("input", "does not lie in the mesh", field.insert, np.full((degree + 1, 3), 7.0))
+        refused("mesh", "inside tetrahedron", field.insert, np.tile(space.points[0], (degree + 1, 1)))
+        try:
+            field.insert(vertex[None].repeat(degree + 2, axis=0))
+        except ValueError:
+            continue
+        raise AssertionError("one knot too many was taken")
+
+
 def test_channels():
     space = gs.Space(*cube(2), degree=3)
     at = rng.random((9000, 3))

@@ -199,7 +199,7 @@ TEST(moves_inside_the_barrier_never_fold_a_tetrahedron_or_empty_a_core)
         gsn_auto(gsn_dms) start = kuhn_space(SMALL, 0.2, degree, 0.1, GSN_DMS_SHARED);
         const struct gsn_tets *mesh = gsn_dms_mesh(start);
         double(*knots)[3] = gsn_memdup(gsn_dms_knots(start), knots_of(start) * sizeof *knots);
-        gsn_auto(gsn_dms) end = NULL;
+        struct gsn_dms *end = NULL;
         struct gsn_error err = { 0 };
         size_t taken = 0, refused = 0;
 
@@ -209,18 +209,18 @@ TEST(moves_inside_the_barrier_never_fold_a_tetrahedron_or_empty_a_core)
 
             for (int c = 0; c < 3; c++)
                 knots[knot][c] += 0.3 * (2 * draw(&seed) - 1);
-            if (gsn_knots_check(mesh, degree, (const double(*)[3])knots, knot / (degree + 1),
-                                &err) == GSN_OK) {
+            if (space_of(start, (const double(*)[3])knots, &end, &err) == GSN_OK) {
                 check_valid(mesh, degree, (const double(*)[3])knots);
+                gsn_dms_free(end);
+                end = NULL;
                 taken++;
                 continue;
             }
-            CHECK(err.code == GSN_E_MESH && strstr(err.text, "tetrahedron "));
+            CHECK(err.code == GSN_E_MESH && strstr(err.text, "tetrahedr"));
             memcpy(knots[knot], old, sizeof old);
             refused++;
         }
-        CHECK(taken > 100 && refused > 100);
-        CHECK_OK(space_of(start, (const double(*)[3])knots, &end, &err), err);
+        CHECK(!end && taken > 100 && refused > 100);
         gsn_free(knots);
     }
 }
@@ -258,7 +258,6 @@ static double after_step(const struct gsn_spline *spline, const struct sample *s
                          const double (*gradient)[3], double step, double (*ret_knots)[3])
 {
     const struct gsn_dms *old = gsn_spline_space(spline);
-    const struct gsn_tets *mesh = gsn_dms_mesh(old);
     const unsigned per_cloud = gsn_dms_degree(old) + 1;
     gsn_auto(gsn_dms) space = NULL;
     gsn_auto(gsn_spline) next = NULL;
@@ -269,10 +268,8 @@ static double after_step(const struct gsn_spline *spline, const struct sample *s
         for (int c = 0; c < 3; c++)
             ret_knots[MIDDLE * per_cloud + i][c] -= step * gradient[MIDDLE * per_cloud + i][c];
     }
-    if (gsn_knots_check(mesh, gsn_dms_degree(old), (const double(*)[3])ret_knots, MIDDLE, &err) !=
-        GSN_OK)
+    if (space_of(old, (const double(*)[3])ret_knots, &space, &err) != GSN_OK)
         return INFINITY;
-    CHECK_OK(space_of(old, (const double(*)[3])ret_knots, &space, &err), err);
     CHECK_OK(gsn_spline_new(space, gsn_spline_controls(spline), &next, &err), err);
     return objective(next, sample, NULL);
 }
@@ -330,31 +327,4 @@ TEST(where_there_is_no_data_nothing_is_added)
             CHECK(total[k / 3][k % 3] == 0);
     }
     gsn_free(total);
-}
-
-TEST(what_is_no_knot_is_refused_by_name)
-{
-    gsn_auto(gsn_dms) space = kuhn_space(SMALL, 0.2, 2, 0.05, GSN_DMS_SHARED);
-    const struct gsn_tets *mesh = gsn_dms_mesh(space);
-    double(*knots)[3] = gsn_memdup(gsn_dms_knots(space), knots_of(space) * sizeof *knots);
-    struct gsn_error err = { 0 };
-
-    CHECK_OK(gsn_knots_check(mesh, 2, (const double(*)[3])knots, MIDDLE, &err), err);
-    CHECK(gsn_knots_check(mesh, 2, (const double(*)[3])knots, 27, &err) == GSN_E_INPUT);
-    CHECK(strstr(err.text, "vertex 27 of 27"));
-    CHECK(gsn_knots_check(mesh, 4, (const double(*)[3])knots, MIDDLE, &err) == GSN_E_INPUT);
-    CHECK(strstr(err.text, "degree 4"));
-    knots[3 * MIDDLE + 2][1] = 1e9;
-    CHECK(gsn_knots_check(mesh, 2, (const double(*)[3])knots, MIDDLE, &err) == GSN_E_MESH);
-    CHECK(strstr(err.text, "tetrahedron ") && strstr(err.text, "smaller knot clouds"));
-    knots[3 * MIDDLE + 2][1] = NAN;
-    CHECK(gsn_knots_check(mesh, 2, (const double(*)[3])knots, MIDDLE, &err) == GSN_E_INPUT);
-    CHECK(strstr(err.text, "knot 2 of vertex 13"));
-    /* All knots of the vertex on it are fine; the vertex on a neighbour is not. */
-    memcpy(knots[3 * MIDDLE + 2], knots[3 * MIDDLE], sizeof *knots);
-    memcpy(knots[3 * MIDDLE + 1], knots[3 * MIDDLE], sizeof *knots);
-    CHECK_OK(gsn_knots_check(mesh, 2, (const double(*)[3])knots, MIDDLE, &err), err);
-    memcpy(knots[3 * MIDDLE], knots[3 * 12], sizeof *knots);
-    CHECK(gsn_knots_check(mesh, 2, (const double(*)[3])knots, MIDDLE, &err) == GSN_E_MESH);
-    gsn_free(knots);
 }

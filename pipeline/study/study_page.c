@@ -112,8 +112,14 @@ static void add_loss(struct gsn_report_text *text, const struct gsn_study *study
     put_p(text, c->difference.p);
     gsn_report_text_raw(text, ", corrected for all comparisons ");
     put_p(text, c->p_holm);
-    gsn_report_text_raw(text, "; exact permutation p ");
-    put_p(text, c->p_exact);
+    if (isfinite(c->p_exact)) {
+        gsn_report_text_raw(text, "; exact permutation p ");
+        put_p(text, c->p_exact);
+    } else
+        gsn_report_text_print(text,
+                              "; no exact permutation p, for so many animals can be dealt out "
+                              "in more than %d million ways",
+                              GSN_PERMUTATIONS / 1000000);
     gsn_report_text_raw(text, "</p>\n");
     gsn_study_allows(c, allows, sizeof allows);
     if (allows[0]) {
@@ -168,6 +174,9 @@ struct drawing {
     double left, right, top, bottom, most;
 };
 
+/* Half the bar of a group's mean: wider than its dots lie, however many they are. */
+static const double BAR = 32;
+
 static double height_of(const struct drawing *d, double value)
 {
     return d->bottom - value / d->most * (d->bottom - d->top);
@@ -208,10 +217,10 @@ static void draw_cell(struct gsn_report_text *text, const struct gsn_study *stud
         gsn_report_text_raw(text, "</title></circle>\n");
     }
     if (isfinite(mean->mean))
-        gsn_report_text_print(text, "<path class=\"axis\" d=\"M%.1f %.1fh28\"/>\n", x - 14,
-                              height_of(d, mean->mean));
+        gsn_report_text_print(text, "<path class=\"mean\" d=\"M%.1f %.1fh%.0f\"/>\n", x - BAR,
+                              height_of(d, mean->mean), 2 * BAR);
     if (isfinite(mean->lower))
-        gsn_report_text_print(text, "<path class=\"median\" d=\"M%.1f %.1fV%.1f\"/>\n", x + 26,
+        gsn_report_text_print(text, "<path class=\"mean\" d=\"M%.1f %.1fV%.1f\"/>\n", x + BAR,
                               height_of(d, fmin(mean->upper, d->most)),
                               height_of(d, fmax(mean->lower, 0)));
     gsn_report_text_print(text,
@@ -240,7 +249,7 @@ static void add_drawing(struct gsn_report_text *text, const struct gsn_study *st
     gsn_report_text_raw(
         text, "<section>\n<h2>One dot an animal</h2>\n<p class=\"lead\">Mean collagen "
               "density of the region, on the scale of the control's stain. The bar is the "
-              "group's mean; the dashed line its 95 % interval. Good: the dots of a group "
+              "group's mean; the line at its end the 95 % interval. Good: the dots of a group "
               "lie close together, and groups that differ do not overlap. One dot far from "
               "its group: open its report below before anything else.</p>\n"
               "<figure><div class=\"drawing\">");
@@ -366,7 +375,8 @@ static void add_comparisons(struct gsn_report_text *text, const struct gsn_study
                         "<p class=\"lead\">A loss with Fieller's 95 % interval, the difference of "
                         "the means with Welch's. Holm p counts that several comparisons were made: "
                         "quote it. The permutation p assumes nothing of how densities are "
-                        "distributed; with few animals it cannot be small.</p>\n");
+                        "distributed; with few animals it cannot be small, and with so many that "
+                        "there are millions of ways to deal them out it is not computed.</p>\n");
     open_table(text, heads, sizeof heads / sizeof heads[0]);
     for (size_t i = 0; i < study->comparison_count; i++)
         if ((study->comparison[i].measure == 0) == main)

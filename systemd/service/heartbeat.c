@@ -20,14 +20,16 @@
 #include <stdbool.h>
 #include <string.h>
 #include <sys/eventfd.h>
-#include <time.h>
+#include <sys/signalfd.h>
 #include <unistd.h>
 
 enum { BEAT_MS = 250, GRACE_MS = 1800 };
 
 struct gsn_heartbeat {
-    int stop; /* an eventfd */
-    int fd;   /* -1: none */
+    int stop;    /* an eventfd: it is time to stop */
+    int over;    /* an eventfd: the thread is to end */
+    int signals; /* a signalfd */
+    int fd;      /* -1: none */
     int64_t beat_ms;
     char said;
     bool has_thread;
@@ -49,19 +51,31 @@ static sigset_t end_signals(void)
     return set;
 }
 
+/* Whether the thread is to end, rather than the wait. timeout_ms -1: until a signal. */
+static bool wait_for_end(const struct gsn_heartbeat *heartbeat, int signals, int timeout_ms)
+{
+    struct pollfd wait[] = { { .fd = heartbeat->over, .events = POLLIN },
+                             { .fd = signals, .events = POLLIN } };
+    int r;
+
+    do
+        r = poll(wait, 2, timeout_ms);
+    while (r < 0 && errno == EINTR);
+    return r < 0 || wait[0].revents;
+}
+
 static void *wait_for_signal(void *context)
 {
     const struct gsn_heartbeat *const heartbeat = context;
-    const struct timespec grace = { .tv_sec = GRACE_MS / 1000,
-                                    .tv_nsec = (GRACE_MS % 1000) * 1000000L };
-    const sigset_t set = end_signals();
-    int signal_number = 0;
+    struct signalfd_siginfo asked;
 
-    if (sigwait(&set, &signal_number) != 0)
+    if (wait_for_end(heartbeat, heartbeat->signals, -1) ||
+        read(heartbeat->signals, &asked, sizeof asked) != (ssize_t)sizeof asked)
         return NULL;
     ask_to_stop(heartbeat);
-    (void)nanosleep(&grace, NULL);
-    _exit(128 + signal_number);
+    if (wait_for_end(heartbeat, -1, GRACE_MS))
+        return NULL;
+    _exit(128 + (int)asked.ssi_signo);
 }
 
 int gsn_heartbeat_new(int heartbeat_fd, struct gsn_heartbeat **ret_heartbeat, struct gsn_error *err)
@@ -74,8 +88,10 @@ int gsn_heartbeat_new(int heartbeat_fd, struct gsn_heartbeat **ret_heartbeat, st
         return gsn_fail(err, GSN_E_NOMEM, "out of memory for a heartbeat");
     heartbeat->fd = heartbeat_fd;
     heartbeat->stop = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-    if (heartbeat->stop < 0)
-        return gsn_fail(err, GSN_E_IO, "eventfd: %s", strerror(errno));
+    heartbeat->over = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+    heartbeat->signals = signalfd(-1, &set, SFD_CLOEXEC);
+    if (heartbeat->stop < 0 || heartbeat->over < 0 || heartbeat->signals < 0)
+        return gsn_fail(err, GSN_E_IO, "eventfd, signalfd: %s", strerror(errno));
     if (heartbeat_fd >= 0)
         (void)fcntl(heartbeat_fd, F_SETFL, O_NONBLOCK);
     if (heartbeat_fd >= 0)
@@ -95,11 +111,15 @@ void gsn_heartbeat_free(struct gsn_heartbeat *heartbeat)
     if (!heartbeat)
         return;
     if (heartbeat->has_thread) {
-        (void)pthread_cancel(heartbeat->thread);
+        (void)eventfd_write(heartbeat->over, 1);
         (void)pthread_join(heartbeat->thread, NULL);
     }
     if (heartbeat->stop >= 0)
         (void)close(heartbeat->stop);
+    if (heartbeat->over >= 0)
+        (void)close(heartbeat->over);
+    if (heartbeat->signals >= 0)
+        (void)close(heartbeat->signals);
     gsn_free(heartbeat);
 }
 

@@ -38,12 +38,6 @@ const char *gsn_job_inputs_key(const struct gsn_job_inputs *inputs);
 const char *gsn_job_inputs_json(const struct gsn_job_inputs *inputs);
 const char *gsn_job_inputs_own_key(const struct gsn_job_inputs *inputs);
 
-/* What the figures of a run mean, kept beside them as JSON for the runs that compare with it later.
- */
-
-/* gives; NULL: out of memory. */
-char *gsn_run_parameters(const char *own_key, const struct gsn_specimen_result *result);
-
 #ifdef __cplusplus
 }
 #endif

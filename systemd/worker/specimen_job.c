@@ -31,6 +31,7 @@
 #include "storage/panel_log.h"
 #include "storage/result.h"
 #include "systemd/worker/audit.h"
+#include "systemd/worker/baseline.h"
 #include "systemd/worker/job_inputs.h"
 #include "systemd/worker/panel_job.h"
 #include "systemd/worker/store_index.h"

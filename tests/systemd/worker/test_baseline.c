@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: AGPL-3.0-or-later */
 
 /* What controls handed on in the store is what a treated specimen is compared with. */
+#include "systemd/worker/baseline.h"
 #include "systemd/worker/job_inputs.h"
 #include "systemd/worker/specimen_job.h"
 #include "tests/check.h"
